@@ -117,7 +117,7 @@ class Outcome:
 
     @property
     def flat(self) -> bool:
-        """Whether descriptors, threads and memory stay what they are after the first tenth of the days, a day at least."""
+        """Whether descriptors, threads and memory stay the same after a tenth of the days, one at least."""
         first = max(len(self.memory_mb) // 10, 1)
         grown = self.memory_mb[-1] - self.memory_mb[first]
         counts = (self.descriptors, self.threads)

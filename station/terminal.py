@@ -21,16 +21,16 @@ _IN_MEMORY = 1 << 22
 """Characters."""
 
 
-PRINTS_ALL = "gyrolock prints all"
-"""Where a command keeps whether ``--full`` was given."""
+PRINTS_ALL, PRINTS_ONE_LINE = "gyrolock prints all", "gyrolock prints one line"
+"""Where a command keeps whether ``--full`` or ``--quiet`` was given."""
 
 
-def prints_all() -> bool:
-    """Whether the user wants more than a short page."""
+def prints(what: str) -> bool:
+    """Whether the user wants more (`PRINTS_ALL`) or less (`PRINTS_ONE_LINE`) than a short page."""
     import click
 
     context = click.get_current_context(silent=True)
-    return context is not None and bool(context.meta.get(PRINTS_ALL))
+    return context is not None and bool(context.meta.get(what))
 
 
 def say(text: str) -> None:

@@ -20,7 +20,17 @@ from station.shell.options import (
     positive,
     shown,
 )
-from station.terminal import JsonResults, print_failure, print_json, prints_all, remark, say, visible
+from station.terminal import (
+    PRINTS_ALL,
+    PRINTS_ONE_LINE,
+    JsonResults,
+    print_failure,
+    print_json,
+    prints,
+    remark,
+    say,
+    visible,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -230,7 +240,7 @@ class Analysis:
         from station.results.verdict import exit_code_of, worst
 
         exit_codes, verdicts = list[int](), list[Any]()
-        listed = answer.in_words and len(self.sources) > 1 and not prints_all()
+        listed = answer.in_words and len(self.sources) > 1 and not prints(PRINTS_ALL)
         tally = Counter[str]()
         if listed:
             say(f"{'source':32}  {'records':>9}  {'result (95 %)':36}  quality")
@@ -252,7 +262,8 @@ class Analysis:
                     word = "not read" if analyzed is None else analyzed.result.quality.partition(":")[0]
                     tally[word] += 1
                 elif analyzed is not None:
-                    say(f"{source}")
+                    if not prints(PRINTS_ONE_LINE):
+                        say(f"{source}")
                     _print(analyzed)
                 if failure is not None:
                     print_failure(failure)
@@ -345,5 +356,5 @@ def _print(analyzed: Evaluated | AnalyzedFiles) -> None:
         print_result(analyzed)
         return
     print_values(analyzed.result, analyzed.tested)
-    for line in analyzed.taken_with():
+    for line in () if prints(PRINTS_ONE_LINE) else analyzed.taken_with():
         say(line)

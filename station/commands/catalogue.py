@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from station.errors import EXIT_FAIL, EXIT_OK, EXIT_OUTPUT, UsageError, one_line
-from station.shell.options import config_option, json_option
+from station.shell.options import json_option, unused_config_option
 from station.terminal import print_json, remark, say
 
 if TYPE_CHECKING:
@@ -72,14 +72,13 @@ def _day(_: click.Context, __: click.Parameter, value: str | None) -> str | None
     "--plot", type=click.Path(path_type=Path), metavar="FILE", help="Draw the results over time: .svg .png .pdf."
 )
 @click.option("--csv", "as_csv", is_flag=True, help="CSV on stdout: one line for each value of a result.")
-@config_option
+@unused_config_option
 @json_option
 def runs_command(
     directory: Path,
     sort: tuple[str, ...],
     limit: int | None,
     plot: Path | None,
-    config: Path | None,
     as_csv: bool,
     as_json: bool,
     **wanted: Any,
@@ -88,7 +87,7 @@ def runs_command(
 
     DIR is a folder of runs [./runs]. No record is opened, and a run that is written at this moment is not
     disturbed. An index in the folder (.gyrolock-index.sqlite) makes the next list fast; it may be deleted at any
-    time. `gyrolock annotate` adds notes, tags and marks. A settings file changes nothing here but the folder.
+    time. `gyrolock annotate` adds notes, tags and marks.
     """
     from station.catalogue import SCHEMA, RunFilter, chosen, list_runs, runs_csv, runs_table
     from station.shell.options import shown as displayed
@@ -99,10 +98,6 @@ def runs_command(
         from station.report.figure import check_picture_name
 
         check_picture_name(plot)
-    if config is not None:
-        from station.settings import read_toml
-
-        read_toml(config)  # a file with a mistake is one here too
     with displayed({"plain": True}, "runs") as progress:
         entries = list_runs(directory, progress=progress)
     asked = RunFilter(**{name: value for name, value in wanted.items() if value})
@@ -163,10 +158,15 @@ _SCHEMA = {"name": "gyrolock history", "version": 1}
     help="The first N values give the limits of a chart [25].",
 )
 @click.option(
-    "--out", type=click.Path(path_type=Path), metavar="FILE", help="Where the page goes [DIR/index.html]."
+    "--to",
+    "--out",
+    "out",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    help="Where the page goes [DIR/index.html].",
 )
 @click.option("--page/--no-page", default=True, help="Write the page with the charts [yes].")
-@config_option
+@unused_config_option
 @json_option
 def history_command(
     directory: Path,
@@ -176,7 +176,6 @@ def history_command(
     baseline: int,
     out: Path | None,
     page: bool,
-    config: Path | None,
     as_json: bool,
 ) -> int:
     """Show tested units and control charts: of a type of unit, and of the bench by its reference unit.
@@ -187,10 +186,7 @@ def history_command(
     Exit codes: 0 everything is in control, 1 the last value of a chart is not, 2 there is no test.
     """
     from station.history import courses, read_tests, write_index
-    from station.settings import read_toml
 
-    if config is not None:
-        read_toml(config)  # a file with a mistake is one here too
     if not directory.is_dir():
         raise UsageError(f"{directory}: there is no such folder of tests")
     tests, unreadable = read_tests(directory)

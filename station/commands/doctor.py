@@ -25,7 +25,7 @@ from station.lock_in.settings import Settings, default_settings, load_settings
 from station.results.result import Check, guarded
 from station.settings import shipped_settings
 from station.shell.options import CHANNELS, config_option, full_option, json_option, transcript_option
-from station.terminal import print_json, prints_all, say
+from station.terminal import PRINTS_ALL, print_json, prints, say
 
 _PACKAGES = [re.split(r"[^\w-]", one)[0] for one in requires("gyrolock") or () if "extra ==" not in one]
 _DISK_LOW = 200 * 2**20
@@ -89,7 +89,7 @@ def doctor_command(
         print_json({"ok": not bad, "checks": [asdict(check) for check in checks]})
     else:
         say(_ready(bad))
-        for check in checks if prints_all() else [check for check in checks if check.state != "ok"]:
+        for check in checks if prints(PRINTS_ALL) else [check for check in checks if check.state != "ok"]:
             say(f"{check.state:<5}{check.name:<14}{check.text}")
     return EXIT_INSTRUMENT if bad else EXIT_OK
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import click
 
 from station.errors import UsageError
-from station.shell.options import config_option, json_option, transcript_option
+from station.shell.options import config_option, json_option, transcript_option, unused_config_option
 from station.terminal import print_json, remark, say
 
 if TYPE_CHECKING:
@@ -22,18 +22,16 @@ if TYPE_CHECKING:
 @click.command("list")
 @click.option("--lan/--no-lan", default=True, help="Search the network too, for two seconds.  [default: --lan]")
 @transcript_option
-@config_option
+@unused_config_option
 @json_option
-def list_command(lan: bool, config: Path | None, as_json: bool) -> int:
+def list_command(lan: bool, as_json: bool) -> int:
     """List the instruments that VISA can see, and say why one cannot be used.
 
     A name that is not listed may work all the same: raw TCP sockets cannot be found by looking, and on a slow
     network an instrument may need longer than it is waited for.
     """
     from instrument import find_resources
-    from station.lock_in.settings import load_settings
 
-    load_settings(config)
     if lan:
         remark("looking for instruments, on the network too...")
     found = find_resources(lan=lan)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from station.results.numbers import AMPLITUDE, LOCK_IN_RATE
-from station.shell.options import config_option, json_option
+from station.shell.options import config_option, json_option, unused_config_option
 from station.terminal import print_json, say
 
 if TYPE_CHECKING:
@@ -170,7 +170,12 @@ def _print(planned: PlannedMeasurement, sentences: list[str], plot: Path | None)
     help="Only this figure of the paper, 2 to 6; may be given several times.",
 )
 @click.option(
-    "--out", type=click.Path(path_type=Path), metavar="DIR", help="Write plots, tables (CSV) and study.json there."
+    "--to",
+    "--out",
+    "out",
+    type=click.Path(path_type=Path),
+    metavar="DIR",
+    help="Write plots, tables (CSV) and study.json there.",
 )
 @click.option(
     "--format",
@@ -180,22 +185,17 @@ def _print(planned: PlannedMeasurement, sentences: list[str], plot: Path | None)
     show_default=True,
     help="Of the plots.",
 )
-@config_option
+@unused_config_option
 @json_option
-def study_command(
-    figures: tuple[int, ...], out: Path | None, kind: str, config: Path | None, as_json: bool
-) -> int:
+def study_command(figures: tuple[int, ...], out: Path | None, kind: str, as_json: bool) -> int:
     """Repeat the paper's simulations, by its method and exactly: Figs. 2 to 6.
 
     Zhan et al., Acta Optica Sinica 29, 960 (2009): K = 2000 pulses per degree, 20 kHz, 3 s. Without --figure the
     bias of its formulas and the causes of its error are told as well. Nothing in a settings file changes this.
     """
-    from station.settings import read_toml
     from station.shell.options import shown
     from station.study import run_study, study_document, study_sentences
 
-    if config is not None:
-        read_toml(config)  # a file with a mistake is one here too
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)
     with shown({}, "study") as progress:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from station.errors import EXIT_FAIL, EXIT_OK, UsageError
-from station.shell.options import config_option, json_option
+from station.shell.options import json_option, unused_config_option
 from station.terminal import print_json, say
 
 if TYPE_CHECKING:
@@ -22,19 +22,16 @@ _ASK_EVERY_S = 0.1
 
 @click.command("status")
 @click.option("--watch", "watched", is_flag=True, help="Show it again every second, until Ctrl-C or the end.")
-@config_option
+@unused_config_option
 @json_option
-def status(watched: bool, config: Path | None, as_json: bool) -> int:
+def status(watched: bool, as_json: bool) -> int:
     """Show running measurements, and those that were killed.
 
     It acts from any shell of the same user; `gyrolock stop` ends one. Exit codes: 0 something runs, 1 nothing
     does.
     """
     from station.live.status import running_programs
-    from station.settings import read_toml
 
-    if config is not None:
-        read_toml(config)  # a file with a mistake is one here too
     programs = [one for one in running_programs() if one.alive or _was_cut_short(one)]
     if as_json:
         print_json({"schema": _SCHEMA, "programs": [one.as_json() for one in programs]})
@@ -105,9 +102,9 @@ def _watch() -> None:
     metavar="S",
     help="Seconds to wait for the end [60].",
 )
-@config_option
+@unused_config_option
 @json_option
-def stop(which: str | None, everything: bool, wait_s: float, config: Path | None, as_json: bool) -> int:
+def stop(which: str | None, everything: bool, wait_s: float, as_json: bool) -> int:
     """Stop a running measurement or station; its records are kept.
 
     It is what Ctrl-C does in its own terminal: the front panel is put back, the table stopped, the outcome saved;
@@ -115,10 +112,7 @@ def stop(which: str | None, everything: bool, wait_s: float, config: Path | None
     ended within --wait, 2 nothing runs or it is not clear which is meant.
     """
     from station.live.status import running_programs
-    from station.settings import read_toml
 
-    if config is not None:
-        read_toml(config)  # a file with a mistake is one here too
     alive = [one for one in running_programs() if one.alive]
     chosen = alive if everything else _chosen(alive, which)
     if not chosen:

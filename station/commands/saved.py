@@ -9,7 +9,15 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from station.errors import EXIT_FAIL, EXIT_OK
-from station.shell.options import CHANNELS, RUN, RUN_PATH, config_option, json_option, positive
+from station.shell.options import (
+    CHANNELS,
+    RUN,
+    RUN_PATH,
+    config_option,
+    json_option,
+    positive,
+    unused_config_option,
+)
 from station.terminal import print_failure, print_json, remark, say
 
 if TYPE_CHECKING:
@@ -162,7 +170,7 @@ SCHEMA = {"name": "gyrolock export", "version": 1}
     "--part-records", type=click.IntRange(min=1), metavar="N", help="Records in a part, about.  [default: 40000]"
 )
 @click.option("--replace", is_flag=True, help="Overwrite existing files.")
-@config_option
+@unused_config_option
 @json_option
 def export_command(
     paths: tuple[str, ...],
@@ -170,20 +178,18 @@ def export_command(
     tek_csv: Path | None,
     part_records: int | None,
     replace: bool,
-    config: Path | None,
     as_json: bool,
 ) -> int:
     """Write records to a data set: Parquet, HDF5, NumPy or CSV.
 
     PATH is a run of any kind, a file of an oscilloscope, a data set, or a folder of them. One row is one record:
     codes as they were sent, and what is known of them; `gyrolock.read` and `gyrolock analyze` read it back and
-    give the same result. A settings file changes nothing here. Exit code 2 if something could not be read: the
+    give the same result. Exit code 2 if something could not be read: the
     rest is written.
     """
     from station.datasets.data_set import RECORDS_OF_PART, check_target, export
     from station.datasets.tek_csv import write_tek_files
     from station.errors import EXIT_OK, EXIT_USAGE
-    from station.settings import read_toml
     from station.shell.options import shown
     from station.sources.batches import NO_RECORD
 
@@ -191,8 +197,6 @@ def export_command(
         raise click.UsageError("give --to FILE or --tek-csv DIR")
     if part_records is not None and not (to or "").endswith("/"):
         raise click.UsageError("--part-records belongs to a folder of parts: a name that ends with /")
-    if config is not None:
-        read_toml(config)  # a file with a mistake is one here too
     left_out: list[ExcludedRecord] = []
     if to is not None:
         check_target(to, replace=replace)
@@ -315,7 +319,7 @@ def compare_command(first: str, second: str, config: Path | None, as_json: bool,
 @click.option("--bad", "mark", flag_value="bad", help="Mark the run as bad.")
 @click.option("--unmark", "mark", flag_value="none", help="Take the mark away.")
 @click.option("--by", default="", metavar="NAME", help="Who says it.  [the user's name]")
-@config_option
+@unused_config_option
 @json_option
 def annotate_command(
     paths: tuple[Path, ...],
@@ -324,7 +328,6 @@ def annotate_command(
     untagged: tuple[str, ...],
     mark: str | None,
     by: str,
-    config: Path | None,
     as_json: bool,
 ) -> int:
     """Add notes, tags or a good or bad mark to saved runs; without any, show what was said.
@@ -335,10 +338,7 @@ def annotate_command(
     from station.runs.annotations import SCHEMA, add_remark, read_remarks
     from station.runs.database import reading
     from station.runs.store import run_file
-    from station.settings import read_toml
 
-    if config is not None:
-        read_toml(config)  # a file with a mistake is one here too
     files = [run_file(path) for path in paths]
     for file in files:
         with reading(file, fold=False):  # is it a run at all?
@@ -370,20 +370,24 @@ def annotate_command(
 
 @click.command("salvage")
 @click.argument("path", type=RUN_PATH, metavar="RUN")
-@click.option("--out", type=click.Path(path_type=Path), metavar="DIR", help="Directory of runs [that of RUN].")
-@config_option
+@click.option(
+    "--runs",
+    "--out",
+    "out",
+    type=click.Path(path_type=Path),
+    metavar="DIR",
+    help="Directory of runs [that of RUN].",
+)
+@unused_config_option
 @json_option
-def salvage_command(path: Path, out: Path | None, config: Path | None, as_json: bool) -> int:
+def salvage_command(path: Path, out: Path | None, as_json: bool) -> int:
     """Copy what can still be read of a damaged run into a new one.
 
     RUN stays as it is. A record is taken over if it is byte for byte what was once saved; those that are lost are
-    named. `gyrolock analyze` reads the new run, --resume goes on with it. A settings file changes nothing here.
+    named. `gyrolock analyze` reads the new run, --resume goes on with it.
     """
     from station.runs.salvage import salvage
-    from station.settings import read_toml
 
-    if config is not None:
-        read_toml(config)  # a file with a mistake is one here too
     found = salvage(path, out)
     if as_json:
         schema = {"name": "gyrolock salvage", "version": 1}
@@ -406,9 +410,9 @@ _SCHEMA = {"name": "gyrolock verify", "version": 1}
 
 @click.command("verify")
 @click.argument("paths", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="RECORD...")
-@config_option
+@unused_config_option
 @json_option
-def verify_command(paths: tuple[Path, ...], config: Path | None, as_json: bool) -> int:
+def verify_command(paths: tuple[Path, ...], as_json: bool) -> int:
     """Check that the record of a test matches its raw runs, and compute the result again.
 
     RECORD is a record.json, or the folder that it lies in. Looked at are the record itself, the raw records of
@@ -416,10 +420,7 @@ def verify_command(paths: tuple[Path, ...], config: Path | None, as_json: bool) 
     something does not, 2 there is no record.
     """
     from station.campaign.verify import verify
-    from station.settings import read_toml
 
-    if config is not None:
-        read_toml(config)  # a file with a mistake is one here too
     told: list[dict[str, Any]] = []
     for path in paths:
         checks = verify(path)

@@ -34,7 +34,9 @@ _LATEST = "latest"
     metavar="[DIR]",
     help="Go on with a test that was cut short: the unit's only one, or the one in DIR.",
 )
-@click.option("--out", type=click.Path(path_type=Path), metavar="DIR", help="Directory of tests [settings].")
+@click.option(
+    "--to", "--out", "out", type=click.Path(path_type=Path), metavar="DIR", help="Directory of tests [settings]."
+)
 @display_options
 @transcript_option
 @json_option
@@ -177,6 +179,8 @@ def _tell(outcome: CampaignOutcome, given: dict[str, Any], page: Path | None) ->
         if page is not None:
             files = {"page": str(page), "record": str(page.with_name("record.json"))}
         print_json({**plain(outcome_document(outcome)), **files})
+    elif given["quiet"]:
+        say(f"{outcome.plan.unit}; {outcome.verdict or 'no limits'}; {outcome.directory}")
     else:
         print_outcome(outcome)
         if page is not None:

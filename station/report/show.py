@@ -16,11 +16,11 @@ from station.errors import DAMAGE, RunError
 from station.files import version
 from station.live.console import stdout_console
 from station.results.result import FactTable, Result, Rows, Section
-from station.results.verdict import MARGINAL, LimitOutcome
+from station.results.verdict import MARGINAL, LimitOutcome, worst
 from station.runs.annotations import Remark, Remarks, read_remarks
 from station.runs.database import RunFacts
 from station.runs.store import REPORT_FILE, SavedRun
-from station.terminal import prints_all, visible
+from station.terminal import PRINTS_ALL, PRINTS_ONE_LINE, prints, say, visible
 
 if TYPE_CHECKING:
     from station.results.result import TextTable
@@ -239,7 +239,7 @@ def text_table(table: TextTable, *, left: int = 0) -> Table:
 def print_result(evaluated: Shown) -> None:
     """Print what a run says: a short page, or with ``--full`` everything."""
     facts, result = evaluated.run.facts, evaluated.result
-    if prints_all():
+    if prints(PRINTS_ALL):
         rows = [*((name, text) for name, text in facts.labels.items())]
         if facts.resumed_at:
             rows.append(("resumed", ", ".join(facts.resumed_at)))
@@ -263,7 +263,13 @@ _MOST_ROWS, _MOST_LIMITS = 4, 3
 
 def print_values(result: Result, tested: Sequence[LimitOutcome], about: Rows = ()) -> None:
     """Print a result and its limits; `about` says what it is of."""
-    console, full = stdout_console(), prints_all()
+    if prints(PRINTS_ONE_LINE):
+        # the first number of the short page
+        name, text = next(iter(result.brief), (result.name, result.value))
+        verdict = worst(one.verdict for one in tested)
+        say("; ".join(filter(None, ("" if result.problem else f"{name}: {text}", result.quality, verdict))))
+        return
+    console, full = stdout_console(), prints(PRINTS_ALL)
     short = () if result.brief else (table for table in result.tables if len(table.rows) <= _MOST_ROWS)
     for table in result.tables if full else short:
         console.print(text_table(table))

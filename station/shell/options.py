@@ -17,7 +17,7 @@ from station.errors import EXIT_DEFECT, EXIT_OK, EXIT_USAGE, SettingsError, desc
 from station.files import version
 from station.live.events import Events
 from station.runs.progress import Acknowledgement, Progress
-from station.terminal import PRINTS_ALL, remark, stepping_aside
+from station.terminal import PRINTS_ALL, PRINTS_ONE_LINE, remark, stepping_aside
 
 if TYPE_CHECKING:
     from station.runs.acquisition import Taken
@@ -110,6 +110,25 @@ def config_option(function: F) -> F:
     )(function)
 
 
+def unused_config_option(function: F) -> F:
+    """Take ``--config FILE`` where nothing of it is used, for scripts that give it to every command."""
+
+    def read(_: click.Context, __: click.Parameter, path: Path | None) -> None:
+        if path is not None:
+            from station.settings import read_toml  # with Pydantic: `--help` starts at once
+
+            read_toml(path)  # a file with a mistake is one here too
+
+    return click.option(
+        "--config",
+        type=click.Path(path_type=Path),
+        metavar="FILE",
+        expose_value=False,
+        callback=read,
+        help="Settings file; nothing of it is used here.",
+    )(function)
+
+
 def transcript_option(function: F) -> F:
     """Add ``--transcript FILE``: what every link carries while the command runs is written down."""
 
@@ -153,7 +172,14 @@ def run_options(function: F) -> F:
         click.option("--operator", metavar="TEXT", help="Who measures."),
         click.option("--note", metavar="TEXT", help="A note to keep with the run."),
         click.option("--seed", type=click.IntRange(min=0), metavar="S", help="Seed of the simulated bench."),
-        click.option("--out", type=click.Path(path_type=Path), metavar="DIR", help="Directory of runs [./runs]."),
+        click.option(
+            "--runs",
+            "--out",
+            "out",
+            type=click.Path(path_type=Path),
+            metavar="DIR",
+            help="Directory of runs [./runs].",
+        ),
         click.option("--jsonl", is_flag=True, help="Print one JSON line per saved record."),
         transcript_option,
         config_option,
@@ -313,14 +339,15 @@ def _exclude(given: Mapping[str, Any], places: Mapping[str, str], paths: tuple[P
 # Who reads the events of a command: the display that was asked for, a file, `gyrolock status`
 
 
+def _keep(context: click.Context, parameter: click.Parameter, value: bool) -> bool:
+    context.meta[PRINTS_ALL if parameter.name == "full" else PRINTS_ONE_LINE] = value
+    return value
+
+
 def full_option(function: F) -> F:
-    """Add ``--full``; :func:`station.terminal.prints_all` tells of it."""
-
-    def keep(context: click.Context, _: click.Parameter, value: bool) -> None:
-        context.meta[PRINTS_ALL] = value
-
+    """Add ``--full``; :func:`station.terminal.prints` tells of it."""
     return click.option(
-        "--full", is_flag=True, expose_value=False, callback=keep, help="Print everything, not the short page."
+        "--full", is_flag=True, expose_value=False, callback=_keep, help="Print everything, not the short page."
     )(function)
 
 
@@ -329,7 +356,7 @@ def display_options(function: F) -> F:
     options = (
         full_option,
         click.option("--plain", is_flag=True, help="Progress as plain lines, also on a terminal."),
-        click.option("--quiet", is_flag=True, help="Print only the result and errors."),
+        click.option("--quiet", is_flag=True, callback=_keep, help="Print the result in one line, and errors."),
         click.option(
             "--events",
             "events_to",

@@ -43,3 +43,51 @@ def test_every_command_and_option_has_help() -> None:
         options = [one for one in command.params if isinstance(one, click.Option)]
         silent += [f"{path} {one.opts[0]}" for one in options if not one.help]
     assert silent == []
+
+
+# an option has one meaning; where its words differ, it is the same thing of something else
+SAME_THING = {
+    "--to": "where what is written goes",
+    "--runs": "directory of runs",
+    "--channel": "an input of the scope",
+    "--baud": "speed of a serial line",
+    "--resource": "VISA name",
+    "--port": "serial port",
+    "--tcp": "port to serve on",
+    "--scale-factor": "pulses per degree",
+    "--rates": "rates in lock-in rates",
+    "--records": "how many",
+    "--noise": "noise of what is measured",
+    "--unit": "unit under test; of `fog constants` that of numbers",
+    "--operator": "who measures",
+    "--note": "a note",
+    "--tag": "a word at a run",
+    "--seed": "seed",
+    "--resume": "go on with it",
+    "--report": "the HTML report",
+    "--plot": "a picture",
+    "--csv": "a table as CSV",
+    "--json": "one JSON document",
+    "--jsonl": "a JSON object a line",
+    "--config": "settings file",
+    "--format": "form of what is sent or drawn",
+    "--numbers": "which numbers",
+    "--replace": "write over files",
+    "--watch": "again and again",
+}
+
+
+def test_an_option_means_one_thing() -> None:
+    meanings: dict[str, set[str]] = {}
+    for command in EVERY.values():
+        for option in command.params:
+            if isinstance(option, click.Option):
+                meanings.setdefault(option.opts[0], set()).add(option.help or "")
+    assert {name for name, said in meanings.items() if len(said) > 1} <= set(SAME_THING)
+    written = ("page goes", "Write plots", "Folder for", "Directory of tests")
+    assert all(
+        not any(text in one for text in written)
+        for name, said in meanings.items()
+        if name != "--to"
+        for one in said
+    )

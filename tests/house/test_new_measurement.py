@@ -137,7 +137,7 @@ def test_a_new_test_of_the_fibre_gyro_is_one_file(copy: Path) -> None:
     assert Path(copy, taken["report"]).exists()
     again = json.loads(gyrolock(copy, "analyze", taken["run"], "--json"))
     assert again["droop_counts"] == taken["droop_counts"]
-    (listed,) = json.loads(gyrolock(copy, "runs", "--json"))["runs"]
+    (listed,) = [one for one in json.loads(gyrolock(copy, "runs", "--json"))["runs"] if one["run"] == taken["run"]]
     assert listed["values"][0]["value"] == taken["droop_counts"]
     (copy / "campaign.toml").write_text(
         '[campaign]\nname = "x"\nunit_type = "x"\nstation = "x"\n[[step]]\nname = "droop"\nmeasurement = "droop"\n'

@@ -59,7 +59,7 @@ def test_a_defect_of_the_program_is_one_line_too(
     def broken(*_: object, **__: object) -> None:
         raise ZeroDivisionError("oh")
 
-    monkeypatch.setattr("station.lock_in.settings.load_settings", broken)
+    monkeypatch.setattr("instrument.find_resources", broken)
     assert main(["list", "--json"]) == 70
     captured = capsys.readouterr()
     assert json.loads(captured.out)["error"]["kind"] == "defect"

@@ -31,6 +31,10 @@ def test_every_kind_of_run_is_told_on_a_short_page(
     assert any(line.startswith("quality") for line in short)
     assert main(["analyze", run, "--full"]) == code
     assert len(capsys.readouterr().out.splitlines()) > len(short)
+    assert main(["analyze", run, "--quiet"]) == code
+    (line,) = capsys.readouterr().out.splitlines()
+    assert "; good" in line or "; DOUBTFUL" in line
+    assert line.endswith("; PASS") == (code == 0 and any("PASS" in one for one in short))
 
 
 def test_several_sources_take_a_line_each_with_their_quality(

@@ -202,7 +202,7 @@ def _disk(settings: Settings) -> Check:
     directory = Path(settings.output.directory).absolute()
     existing = next(folder for folder in (directory, *directory.parents) if folder.exists())
     if not os.access(existing, os.W_OK):
-        return Check("disk", "bad", f"{directory} cannot be written: choose another with --out DIR")
+        return Check("disk", "bad", f"{directory} cannot be written: choose another with --runs DIR")
     free = shutil.disk_usage(existing).free
     text = f"{free / 2**30:.1f} GiB free for {directory}"
     return Check("disk", "ok", text) if free > _DISK_LOW else Check("disk", "bad", f"{text}: make room")

@@ -336,7 +336,8 @@ def _budget(request: PlanRequest, rates: tuple[PlannedRate, ...]) -> Budget:
     )
     knowledge = replace(
         request.knowledge,
-        separated=(frozenset(COUNTED) if len(rates) > 1 else frozenset({"third_order"})),
+        # the records show a third harmonic always; the fit to several rates counts all of it
+        separated=frozenset(COUNTED if len(rates) > 1 else {"third_order"}),
         table=request.table.at(slowest.input_rate) if request.table is not None else None,
     )
     if len(rates) == 1:

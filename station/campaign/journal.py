@@ -164,7 +164,8 @@ class CampaignOutcome:
     def verdict(self) -> Verdict | None:
         """The worst of all steps; ABORTED where it was ended from outside; ``None`` without limits."""
         if self.failure is not None:
-            return ABORTED if (self.failure.exit_code >= EXIT_INTERRUPTED - 1) else ERROR
+            ended_from_outside = self.failure.exit_code >= EXIT_INTERRUPTED - 1  # by a signal, or Ctrl-C
+            return ABORTED if ended_from_outside else ERROR
         return worst(one.verdict for one in self.steps if one.verdict is not None)
 
     @property

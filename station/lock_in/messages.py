@@ -557,7 +557,7 @@ def remedy_sentence(budget: Budget) -> str:
     first = budget.inputs[0] if budget.inputs else None
     if first is None or first.contribution == 0:
         return ""
-    after = budget.with_line(first, (0.5 if first.name in _HALVED else 0.0)).expanded_u_95
+    after = budget.with_line(first, 0.5 if first.name in _HALVED else 0.0).expanded_u_95
     now = budget.expanded_u_95
     return (
         f"The largest part is {first.quantity} ({100 * budget.share(first):.0f} % of the variance"

@@ -212,6 +212,8 @@ def write_page(path: Path, text: str) -> Path:
             file.flush()
             os.fsync(file.fileno())
         draft.replace(path)
+    except OSError as error:
+        raise OSError(error.errno, error.strerror, str(path)) from None
     finally:
         with suppress(OSError):
             draft.unlink(missing_ok=True)

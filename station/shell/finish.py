@@ -286,7 +286,7 @@ def keep(evaluated: Evaluated, *, report: bool) -> tuple[dict[str, Any], Failure
         try:
             told["report"] = str(write_report(evaluated))
         except OSError as error:
-            reason = f"the report cannot be written ({one_line(error)})"
+            reason = f"the report cannot be written ({error.strerror or one_line(error)})"
             text = f"{path.parent}: {reason}: `gyrolock report {path.parent}` makes it again"
             lost = lost or Failure(CannotWrite.kind, text, EXIT_OUTPUT)
             document["outcome"] = told["outcome"] = text

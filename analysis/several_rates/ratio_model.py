@@ -494,7 +494,7 @@ def _starts(data: RatioData, prior: Prior) -> Floats:
     flat = grid.reshape(-1, N_PARAMETERS)
     if prior.sd[2] > 0:
         flat[:, 2] = _best_distortion(flat, data, prior)
-    cost = (np.asarray(np.sum(_residual(flat, data, prior) ** 2, axis=-1))).reshape(size.shape)
+    cost = np.asarray(np.sum(_residual(flat, data, prior) ** 2, axis=-1)).reshape(size.shape)
     best = cost.argmin(axis=-1)
     lowest = np.take_along_axis(cost, best[..., np.newaxis], axis=-1)[..., 0]
     # a valley may be narrower than the steps of the map: the best phase of every size is a start too

@@ -495,7 +495,7 @@ def _document(found: SelfcalEvaluation, settings: FogSettings) -> dict[str, Any]
         "compared_with": "table" if reference else "design",
         "table_source": reference.source if reference else None,
         "noise_model": None if found.noise is None else found.noise.source,
-        "budget": budget_document(against, _budget(found), (found.comparison.difference_u_ppm)),
+        "budget": budget_document(against, _budget(found), found.comparison.difference_u_ppm),
         "points": rows(found, POINTS),
         "left_out": found.left_out,
     }

@@ -137,7 +137,7 @@ def batches_of(
                         yield _collected(open_batches.pop(shape))
                     held = 0
         except (StationError, InstrumentError, OSError) as error:
-            left_out(ExcludedRecord(source.name, None, (str(error).removeprefix(f"{source.name}: "))))
+            left_out(ExcludedRecord(source.name, None, str(error).removeprefix(f"{source.name}: ")))
     for batch in open_batches.values():
         yield _collected(batch)
 

@@ -199,3 +199,38 @@ def test_the_command_names_what_is_lost(tmp_path: Path, capsys) -> None:
     (tmp_path / "noise").write_bytes(np.random.default_rng(0).bytes(100_000))
     assert main(["salvage", str(tmp_path / "noise"), "--json"]) == 2
     assert "nothing of a run" in json.loads(capsys.readouterr().out)["error"]["message"]
+
+
+GOLDEN = Path(__file__).parents[1] / "golden"
+
+
+@pytest.mark.parametrize(
+    ("run", "table", "where", "value"),
+    [
+        ("fog_eps", "run", "name = 'truth'", {"two_pi_error_ppm": {}}),
+        ("fog_figures", "run", "name = 'truth'", {"bias_dph": "x"}),
+        ("acquired", "run", "name = 'scope_setting'", {"a": 1}),
+        ("fog_logs", "run", "name = 'provenance'", {"packages": True}),
+        ("fog_logs", "run", "name = 'logs'", [float("inf")]),
+        ("quadrature", "run", "name = 'identity'", {"serial": float("nan")}),
+        ("turning", "record", "number = 2", {"truth": {"ratio": "x"}}),
+        ("fog_selfcal_by_table", "segment", "number = 2", {"model": []}),
+    ],
+)
+def test_a_value_of_another_kind_ends_no_command(
+    tmp_path: Path, run: str, table: str, where: str, value: object
+) -> None:
+    """In a run of a layout without checksums of what is noted beside its records."""
+    path = Path(shutil.copy(GOLDEN / f"{run}.sqlite", tmp_path))
+    damage(
+        path,
+        f"UPDATE {table} SET {'value' if table == 'run' else 'conditions'} = ? WHERE {where}",
+        json.dumps(value),
+    )
+    commands = (["analyze", str(path), "--full"], ["report", str(path)], ["salvage", str(path)])
+    commands += (
+        ["compare", str(path), str(GOLDEN / f"{run}.sqlite")],
+        ["export", str(path), "--to", f"{tmp_path}/x.csv"],
+    )
+    for command in commands:
+        assert main(command) in (0, 1, 2, 4, 6), command

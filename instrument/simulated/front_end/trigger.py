@@ -488,7 +488,7 @@ class PulseSearch:
         previous = np.concatenate([[self.state], sides[known]])
         changes = known[(previous[1:] != previous[:-1]) & (previous[:-1] != 0)]
         last_below, last_over = (
-            (np.maximum.accumulate(np.where(side, np.arange(len(side)), -1))) for side in (above < 0, above > 0)
+            np.maximum.accumulate(np.where(side, np.arange(len(side)), -1)) for side in (above < 0, above > 0)
         )
         if len(changes):
             rising = sides[changes] > 0

@@ -80,6 +80,7 @@ def resource_manager(
         inputs = {1: signals} if callable(signals) else signals
         scope = SimulatedTDS2014(demonstration_signals() if inputs is None else inputs, **scope_options)
         scopes = dict.fromkeys(DEFAULT_NAMES, scope)
+    # PyVISA shares the library of a path: each has one of its own
     library = SimulatedVisaLibrary(LibraryPath(f"gyrolock-simulated-{next(_LIBRARY_NUMBERS)}", "simulated"))
     library.connect(scopes)
     return pyvisa.ResourceManager(library)

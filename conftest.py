@@ -9,12 +9,17 @@ from pathlib import Path
 
 from hypothesis import settings
 
+from station.files import keep_for_batches
+
 # Small matrices: threads of the linear algebra library only get in the way of the parallel test processes.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 # Programs that the tests start say here how they stand, and not beside those of the user.
 os.environ.setdefault("GYROLOCK_STATE", str(Path(tempfile.gettempdir()) / "gyrolock-tests"))
+
+# As in the commands: the memory of large arrays is kept for the next ones.
+keep_for_batches()
 
 # Each test process has instruments of its own: two of them may open the same made-up name at the same time.
 os.environ["GYROLOCK_LOCKS"] = tempfile.mkdtemp(prefix="gyrolock-locks-")

@@ -208,6 +208,13 @@ class SampledRecord:
 
     def __init__(self, values: Floats, mask: Floats) -> None:
         self.values, self.mask, self.count = values, mask, float(mask.sum())
+        self._room = np.empty((3, 0, values.size))
+
+    def room(self, rows: int) -> Floats:
+        """Three arrays (rows, N) for the equations of one step: new ones would cost more than what fills them."""
+        if rows > self._room.shape[1]:
+            self._room = np.empty((3, rows, self.values.size))
+        return self._room[:, :rows]
 
     def fit(self, start: Trajectory, looseness: float, iterations: int) -> Fitted:
         """Gauss-Newton from a start; `looseness` is l above, in 1 over squared units of the samples."""
@@ -294,10 +301,10 @@ class _Equations:
 
     normal: Floats
     gradient: Floats
-    sides: Floats
+    solved: Floats  # phases that one of each parameter brings, (parameters, N), and those of the gradient
+    solved_gradient: Floats
     phase_gradient: Floats
     full_gradient: Floats
-    factor: tuple[Floats, Floats]
     evidence: float
 
     @staticmethod
@@ -316,38 +323,37 @@ class _Equations:
         basis = polynomials(record.values.size).means[: at.terms.rate]
         n_rate, n_more = at.terms.rate, 2 if drifting else 0
         n_moved, n_all = n_rate + 2 + n_more, at.terms.count + n_more
-        by_step = np.empty((n_moved, record.values.size - 1))
+        sides, solved, by_step = record.room(n_all)
+        by_step = by_step[:n_moved, :-1]
         np.multiply(basis, steps.by_rate, out=by_step[:n_rate])
         by_step[n_rate : n_rate + 2] = steps.by_sine, steps.by_cosine
         if drifting:
             by_step[-2:] = by_step[n_rate : n_rate + 2] * polynomials(record.values.size).means[1]
-        sides = np.zeros((n_all, record.values.size))
-        np.multiply(by_step, steps.by_phase * tight, out=sides[:n_moved, :-1])
-        sides[:n_moved, 1:] -= tight * by_step
-        np.multiply(model.by_sample, model.by_phase, out=sides[n_moved:])
         moved = model.moved * tight
-        phase_gradient = model.by_phase * model.left
-        phase_gradient[1:] -= moved
-        phase_gradient[:-1] += steps.by_phase * moved
         normal = np.zeros((n_all, n_all))
         normal[:n_moved, :n_moved] = tight * (by_step @ by_step.T)
         normal[n_moved:, n_moved:] = model.by_sample @ model.by_sample.T
         full_gradient = np.concatenate([by_step @ moved, model.by_sample @ model.left])
-        # Half a solution is enough: with L D L' the matrix of the phases and y = L^-1 sides they take y' D^-1 y.
-        band = np.stack([np.ones_like(factor), np.append(ratios, 0.0)])
-        half = lapack.dtbtrs(band, sides.T, uplo="L", diag="U")[0].T
-        half /= np.sqrt(factor)
-        normal -= half @ half.T
-        solved = lapack.dpttrs(factor, ratios, phase_gradient)[0]
+        np.multiply(by_step, steps.by_phase * tight, out=sides[:n_moved, :-1])
+        sides[:n_moved, -1] = 0.0
+        by_step *= tight
+        sides[:n_moved, 1:] -= by_step
+        np.multiply(model.by_sample, model.by_phase, out=sides[n_moved:])
+        phase_gradient = model.by_phase * model.left
+        phase_gradient[1:] -= moved
+        phase_gradient[:-1] += steps.by_phase * moved
+        np.copyto(solved, sides)
+        lapack.dpttrs(factor, ratios, solved.T, overwrite_b=True)
+        normal -= sides @ solved.T
         evidence = float(np.log(factor).sum() + (record.values.size - 1) * np.log(looseness))
         sign, size = np.linalg.slogdet(normal)
         return _Equations(
             normal,
-            full_gradient - sides @ solved,
-            sides,
+            full_gradient - solved @ phase_gradient,
+            solved,
+            lapack.dpttrs(factor, ratios, phase_gradient)[0],
             phase_gradient,
             full_gradient,
-            (factor, ratios),
             evidence + (float(size) if sign > 0 else 0.0),
         )
 
@@ -357,7 +363,7 @@ class _Equations:
         scaled = self.normal * scale * scale[:, np.newaxis]
         scaled[np.diag_indices_from(scaled)] += RIDGE
         by_parameters = scale * np.linalg.solve(scaled, scale * self.gradient)
-        by_phase = lapack.dpttrs(*self.factor, self.phase_gradient - by_parameters @ self.sides)[0]
+        by_phase = self.solved_gradient - by_parameters @ self.solved
         gain = float(self.phase_gradient @ by_phase + self.full_gradient @ by_parameters)
         return by_phase, by_parameters, gain
 

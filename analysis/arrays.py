@@ -13,10 +13,8 @@ Bools = NDArray[np.bool_]
 Ints = NDArray[np.int64]
 Indices = NDArray[np.intp]
 
-Samples = NDArray[Any]
-"""float32 or float64"""
-Phasors = NDArray[Any]
-"""complex64 or complex128"""
+Samples = NDArray[Any]  # float32 or float64
+Phasors = NDArray[Any]  # complex64 or complex128
 
 
 # --------------------

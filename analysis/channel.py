@@ -25,8 +25,7 @@ EXPLAINED = 2.5
 """Uncertainty of the ratio over the size of what it leaves on higher harmonics (`waveform.misfit`), and some
 room for what the fit of a bent waveform adds."""
 
-HARMONICS = 24
-"""Of the series that is fitted; 0.7^24 is 2e-4, and a slow channel passes less of them."""
+HARMONICS = 24  # of the series that is fitted; 0.7^24 is 2e-4, and a slow channel passes less of them
 
 ROUNDS = 40
 STEP = 1e-4

@@ -12,11 +12,8 @@ from analysis.arrays import Complexes, Floats, Ints
 from analysis.flags import Flag
 from analysis.lockin_rate import LockInEstimate, rate_and_slopes, size_interval
 
-_AT_ONCE = 1 << 14
-"""Records whose numbers are worked out together: those of a million would take much memory."""
-
-UNLIKELY = 0.001
-"""A scatter that the records' own noise would produce less often than this is taken as real."""
+_AT_ONCE = 1 << 14  # records whose numbers are worked out together: those of a million would take much memory
+UNLIKELY = 0.001  # a scatter that the records' own noise would produce less often than this is taken as real
 
 
 AMPLITUDE_SCATTER = 0.1
@@ -24,12 +21,10 @@ AMPLITUDE_SCATTER = 0.1
 triggered differ by more."""
 
 BY_CHANCE = (Flag.COLOURED_NOISE, Flag.MISFIT, Flag.PARTS_DIFFER, Flag.RATE_WANDER)
-BY_CHANCE_SHARE = 0.05
-"""Tests of the residual raise these flags in well under this share of faultless records."""
+BY_CHANCE_SHARE = 0.05  # tests of the residual raise these flags in well under this share of faultless records
 
 
-RATES_DIFFER = 0.002
-"""Range of the beat frequencies, over their mean, beyond which one setting was not one rate."""
+RATES_DIFFER = 0.002  # range of the beat frequencies, over their mean, beyond which one setting was not one rate
 
 SHOWN_PHASE = 5.0
 """Standard uncertainties of its noise that the size of every record must have for its own phase to be believed."""

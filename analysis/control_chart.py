@@ -15,8 +15,7 @@ from analysis.arrays import Floats
 
 _D2 = 1.128379167  # mean moving range of two normal values, in standard deviations: 2/sqrt(pi)
 _D4 = 3.267  # upper limit of the moving range of two, in mean moving ranges
-FEWEST = 8
-"""Fewer values than this give no limits: the mean of seven moving ranges is good to a third of itself."""
+FEWEST = 8  # fewer values than this give no limits: the mean of seven moving ranges is good to a third of itself
 
 RULES = {
     1: "beyond 3 sigma",

@@ -45,8 +45,7 @@ LARGEST_TURN = 0.4
 LEAST_WALK = 1e-3
 """In sqrt(WL/K): less noise rounds nothing that a counter could show, and would need endless harmonics."""
 
-TREMBLE = 0.25
-"""Turns."""
+TREMBLE = 0.25  # turns
 
 
 def rounded_pulse_rate(
@@ -180,16 +179,12 @@ def _diffused_turns(
 
 
 FEWEST_FOR_CORNER = 6
-FEWEST_BOTH_WAYS = 4
-"""Steps on the way out and on the way in from which a drift is told from hysteresis."""
+FEWEST_BOTH_WAYS = 4  # steps on the way out and on the way in from which a drift is told from hysteresis
 
 FEWEST_DEGREES = 3.0
 
-COUNTED_U = 6**-0.5
-"""Standard uncertainty of a count of whole pulses: rounding at either end."""
-
-_NEAR = 3.0
-"""Steps below so many lock-in rates are fitted: beyond, the beat hardly depends on it."""
+COUNTED_U = 6**-0.5  # standard uncertainty of a count of whole pulses: rounding at either end
+_NEAR = 3.0  # steps below so many lock-in rates are fitted: beyond, the beat hardly depends on it
 
 # in lock-in rates, but for the logarithm of the walk in sqrt(WL/K): lock-in rate, bias, walk, drift, hysteresis
 _START = np.array([1.0, 0.0, np.log(0.02), 0.0, 0.0])
@@ -311,11 +306,8 @@ def _expected(points: Floats, swept: Sweep, near: Bools, start: float) -> Floats
     return np.asarray(np.abs(turning) * swept.dwell)
 
 
-SEEN = 3.29
-"""Standard uncertainties beyond which chance hardly ever goes."""
-
-WALK_KNOWN = 2.0
-"""A random walk that does not stand out of so many standard uncertainties says nothing of slips."""
+SEEN = 3.29  # standard uncertainties beyond which chance hardly ever goes
+WALK_KNOWN = 2.0  # a random walk that does not stand out of so many standard uncertainties says nothing of slips
 
 ROUNDING_MATTERS = 2.0
 """Noise counts where edge and fitted lock-in rate differ by more than this many standard uncertainties."""

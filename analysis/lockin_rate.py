@@ -433,14 +433,9 @@ def mains_flags(beat: Beat, others: Ints, mains_hz: float | None) -> Ints:
 
 
 MAINS_HZ = (50.0, 60.0)
-MAINS_WANDERS = 0.005
-"""Share by which the frequency of the mains is off at most."""
-
-MAINS_ORDERS = 6
-"""Harmonics of the mains that are strong enough to matter on a bench."""
-
-SMALL_RATIO = 0.02
-"""Second harmonic over the fundamental up to which a beat at the mains may be hum."""
+MAINS_WANDERS = 0.005  # share by which the frequency of the mains is off at most
+MAINS_ORDERS = 6  # harmonics of the mains that are strong enough to matter on a bench
+SMALL_RATIO = 0.02  # second harmonic over the fundamental up to which a beat at the mains may be hum
 
 
 def is_weaker(beat: Beat, fit: WaveformFit, full: Floats, n_samples: int) -> Bools:
@@ -575,10 +570,8 @@ SUSPECT = Flag.MISFIT | Flag.RATE_WANDER
 """What makes the parts worth a look; noise that is not white does where it is stronger at the beat than elsewhere,
 since what happens in one part never leaves less there."""
 
-PERIODS = 4.0
-SAMPLES = 100
-MOST_PIECES = 4
-"""A part has at least so many periods and samples; a record is cut into at most so many parts."""
+PERIODS, SAMPLES = 4.0, 100  # that a part has at least
+MOST_PIECES = 4  # parts of a record at most
 
 UNLIKELY, RARE = 1e-4, 1e-2
 """Shares of records in which noise makes parts differ so much that a flag says so, or the difference counts."""
@@ -666,22 +659,19 @@ FEW_LEVELS_OF_A_SWING = 40.0
 """The same for a waveform that a gyro which swings inside lock-in may show. Vertical scales in steps of 1, 2, 5
 leave more than that of a beat that was to fill the screen."""
 
-FEW_LEVELS_WITHOUT_A_THIRD = 64.0
-"""The same for one whose third harmonic is probably not that of a beat."""
+FEW_LEVELS_WITHOUT_A_THIRD = 64.0  # the same for one whose third harmonic is probably not that of a beat
 
 LAGS, LAG_SCATTERS = 0.2, 2.0
 """rad by which the second harmonic of a swing may lag behind the fundamental, and standard uncertainties of its
 phase beside them."""
 
-QUICK_LAGS = 0.8
-"""The same where the third harmonic speaks against a beat: a quick swing lags by more."""
+QUICK_LAGS = 0.8  # the same where the third harmonic speaks against a beat: a quick swing lags by more
 
 SHOWS, CLOSE = 6.0, 5.0
 """Uncertainties that the third harmonic of a beat must have to show that it is one, and times by which it must
 exceed what is amiss with it."""
 
-PROBABLY = 3.0
-"""Uncertainties beyond which it is probably not that of a beat: noise is so in one of 90 records."""
+PROBABLY = 3.0  # uncertainties beyond which it is probably not that of a beat: noise is so in one of 90 records
 
 
 def fewest_levels(beat: Beat, third: Complexes, third_u: Floats) -> Floats:

@@ -178,8 +178,7 @@ class PlanRequest:
 
 MOST_RECORDS = 100_000
 
-FEWEST_RECORDS = 3
-"""In all: fewer would not show whether they scatter by more than their noise."""
+FEWEST_RECORDS = 3  # in all: fewer would not show whether they scatter by more than their noise
 
 _FLOOR_SHARE = 3.0
 """Where the wanted uncertainty is out of reach, noise is brought to this fraction of what remains."""
@@ -380,8 +379,7 @@ def _joint_u(request: PlanRequest, rates: tuple[PlannedRate, ...], *, all_else_k
 
 _PHASES = 12
 
-FEW_RATES = 4
-"""So many rates in one sense have no second solution; fewer may have one."""
+FEW_RATES = 4  # so many rates in one sense have no second solution; fewer may have one
 
 
 def expected_joint_u(
@@ -465,8 +463,7 @@ STEPS = 5
 LEAST_STEP = 1.25
 """One rate over the next: where they cannot go far, more of them still tell whether the beats follow the rates."""
 
-DEFAULT_RECORDS = 3
-"""At each rate and sense: fewer would not show whether they scatter by more than their noise."""
+DEFAULT_RECORDS = 3  # at each rate and sense: fewer would not show whether they scatter by more than their noise
 
 
 def run_order(rates: Sequence[float]) -> tuple[tuple[float, bool], ...]:

@@ -28,22 +28,16 @@ from analysis.lockin_equation import Relation
 from analysis.lockin_rate import LockInEstimate, estimate_lock_in, with_ratio
 from analysis.waveform.frequency import NanPolicy
 
-HARMONICS = 5
-"""Of the two channels, compared at the frequency found: the phase between them, and the images."""
-
-SAMPLES_AT_ONCE = 400_000
-"""Bounds the memory of a large batch."""
-
-POOR_QUADRATURE = 0.35
-"""rad from a right angle, where a correction costs 6 % in uncertainty."""
+HARMONICS = 5  # of the two channels, compared at the frequency found: the phase between them, and the images
+SAMPLES_AT_ONCE = 400_000  # bounds the memory of a large batch
+POOR_QUADRATURE = 0.35  # rad from a right angle, where a correction costs 6 % in uncertainty
 NO_QUADRATURE = 0.1
 """Sine of the angle between the channels below which the sense of rotation and the correction mean nothing."""
 LARGE_DISTORTION = 0.02
 SIZE_WITH_RATIO = 0.5
 """Share of the fundamental's error that is in rho too; found by simulation between 1.2 and 30 lock-in rates, where
 it makes the stated uncertainty of the gain ratio that of its scatter within 15 %."""
-IMAGE_LIMIT = 4.0
-"""In standard uncertainties: images of the third harmonic above this are real."""
+IMAGE_LIMIT = 4.0  # in standard uncertainties: images of the third harmonic above this are real
 
 
 class QuadratureFlag(IntFlag):

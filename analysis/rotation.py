@@ -14,13 +14,11 @@ from numpy.typing import ArrayLike
 
 from analysis.arrays import Floats, NoTilt
 
-EARTH_RATE_DPS = 15.041067 / 3600.0
-"""Sidereal rotation rate of the earth, deg/s."""
+EARTH_RATE_DPS = 15.041067 / 3600.0  # sidereal rotation rate of the earth, deg/s
 
 ROUNDS = 50
 SMALLEST_U_DPS = 1e-15
-FASTER_THAN_POSSIBLE = 1e-3
-"""Earth rate and noise may make the beat so much faster than K times the table rate."""
+FASTER_THAN_POSSIBLE = 1e-3  # earth rate and noise may make the beat so much faster than K times the table rate
 
 
 def earth_rate_on_axis(latitude_deg: ArrayLike, tilt_deg: ArrayLike, azimuth_deg: ArrayLike) -> Floats:

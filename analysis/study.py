@@ -186,15 +186,13 @@ def bias_table(rate_ratios: tuple[float, ...] = RATE_RATIOS) -> BiasTable:
 
 PAPER = 0.068
 OVER_LOCK_IN = (2.0, 5.0, 10.0, 20.0)
-LOCK_IN_RATE = 0.01
-"""deg/s: only the earth rate depends on it."""
+LOCK_IN_RATE = 0.01  # deg/s: only the earth rate depends on it
 
 TILT_DEG, LATITUDE_DEG = 88.693, 28.2
 TILT_U_DEG = 0.01
 DISTORTION = 10 ** (-50 / 20)
 NOISE = 0.01
-EXPERIMENT_LEVELS = 100
-"""Of the converter, in the amplitude."""
+EXPERIMENT_LEVELS = 100  # of the converter, in the amplitude
 
 _PERIODS = (20.0, 50.0)
 _TRIALS = 128
@@ -326,8 +324,7 @@ SAMPLES = round(SAMPLING_HZ * DURATION_S)
 
 OSCILLOSCOPE_SAMPLES = 2500
 
-NEIGHBOURS = 2
-"""Bins on either side of twice the strongest bin in which the second line is looked for."""
+NEIGHBOURS = 2  # bins on either side of twice the strongest bin in which the second line is looked for
 
 WINDOWS = ("boxcar", "hann", "blackmanharris", "flattop")
 

@@ -28,11 +28,8 @@ from instrument.errors import InstrumentError, LinkError, SettingError, Transfer
 
 T = TypeVar("T")
 
-_POLL_S = (0.1, 10.0)
-"""Shortest and longest time in s between two looks whether a quantity is steady."""
-
-_BEYOND = 1.5
-"""Longest time for a change over the shortest that the template states."""
+_POLL_S = (0.1, 10.0)  # shortest and longest time in s between two looks whether a quantity is steady
+_BEYOND = 1.5  # longest time for a change over the shortest that the template states
 _GRACE_S = 5.0
 _AGAIN_S = 0.5
 
@@ -277,8 +274,7 @@ def _with_a_group(text: str) -> str:
     return text
 
 
-Expression = Annotated[str, AfterValidator(_expression)]
-"""Regular expression that a whole answer is to match."""
+Expression = Annotated[str, AfterValidator(_expression)]  # regular expression that a whole answer is to match
 
 Meant = Annotated[str, AfterValidator(_with_a_group)]
 """Regular expression to be found in an answer, whose first group is what is meant."""
@@ -469,8 +465,7 @@ def parse_template(values: Mapping[str, Any], where: str) -> ControllerTemplate:
 
 _PARITY = {"none": constants.Parity.none, "even": constants.Parity.even, "odd": constants.Parity.odd}
 _STOP = {1: constants.StopBits.one, 2: constants.StopBits.two}
-_LATE_MS = 30
-"""Longest silence between two bytes of an answer that comes too late."""
+_LATE_MS = 30  # longest silence between two bytes of an answer that comes too late
 
 _LONGEST = 4096  # bytes of an answer
 

@@ -23,8 +23,7 @@ from typing import IO, Any, BinaryIO
 
 from instrument.errors import FileFormatError
 
-LARGEST_FILE = 100_000_000
-"""Bytes of a transcript: some 20 000 records."""
+LARGEST_FILE = 100_000_000  # bytes of a transcript: some 20 000 records
 
 _PLAIN = frozenset(b"\n\r\t") | frozenset(range(0x20, 0x7F))
 

@@ -308,8 +308,7 @@ def _headline(document: Mapping[str, Any], command: str) -> tuple[Value, ...]:
 # Which runs of the list are wanted, and in which order
 
 
-NO_LIMITS = "none"
-"""Asks for runs without a verdict, or without a mark."""
+NO_LIMITS = "none"  # asks for runs without a verdict, or without a mark
 
 
 @dataclass(frozen=True)
@@ -490,8 +489,7 @@ def _short_name(entry: Entry, directory: Path) -> str:
 _COLOURS = (ACCENT, SECOND, THIRD, "#8a4f9e", "#b08a1e", "#3f8f9b", "#a23b4a", "#5b6875")
 _MARKERS = "osD^vP<>"
 _WIDTH, _HEIGHT, _MOST_PANELS = 9.5, 3.0, 8
-Series = dict[str, dict[str, list[tuple[Entry, Value]]]]
-"""Values by what they are, and by unit."""
+Series = dict[str, dict[str, list[tuple[Entry, Value]]]]  # values by what they are, and by unit
 
 
 def write_trend(path: Path, entries: Sequence[Entry]) -> int:

@@ -246,8 +246,7 @@ def _elsewhere(plan: Plan) -> tuple[tuple[float, float], ...]:
 # What a step of a campaign will take and give: its time, and the uncertainty of the lock-in rate
 
 
-_TRIALS = 3
-"""Records that the search for the beat takes at each rate, as a rule."""
+_TRIALS = 3  # records that the search for the beat takes at each rate, as a rule
 
 
 @dataclass(frozen=True)
@@ -467,8 +466,7 @@ def _warnings(plan: Plan) -> list[str]:
 
 
 _SIZE = (8.4, 4.8)
-_DEPTH = 12.0
-"""The plot reaches this factor below the smallest uncertainty."""
+_DEPTH = 12.0  # the plot reaches this factor below the smallest uncertainty
 
 
 def write_plan_plot(path: Path, planned: PlannedMeasurement) -> None:

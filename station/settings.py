@@ -212,11 +212,8 @@ class OutputSettings(SettingsSection):
 
 
 S = TypeVar("S", bound=SettingsSection)
-Values = Mapping[str, Mapping[str, object]]
-"""Settings by section and name, as the command line gives them."""
-
-_FREE = ("limits", "output")
-"""Sections that say nothing of what is measured."""
+Values = Mapping[str, Mapping[str, object]]  # settings by section and name, as the command line gives them
+_FREE = ("limits", "output")  # sections that say nothing of what is measured
 
 
 @dataclass(frozen=True)

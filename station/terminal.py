@@ -17,8 +17,7 @@ from typing import IO, Any, Self
 
 from station.errors import Failure
 
-_IN_MEMORY = 1 << 22
-"""Characters."""
+_IN_MEMORY = 1 << 22  # characters
 
 
 PRINTS_ALL, PRINTS_ONE_LINE = "gyrolock prints all", "gyrolock prints one line"

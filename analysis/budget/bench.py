@@ -37,8 +37,7 @@ that of -cos(2 delta), delta the readout less the backscatter phase.
 s + k s^3 makes h = k/4 and turns the second harmonic by 1 - 3 h exp(2 i delta). A geometric series that is fitted
 to the waveform sees the third harmonic too, and takes two of the three back."""
 
-THIRD_ORDER_LEAK = 0.3
-"""What the same third harmonic leaks into r, over h, times the periods in a record."""
+THIRD_ORDER_LEAK = 0.3  # what the same third harmonic leaks into r, over h, times the periods in a record
 
 LOWEST_BANDWIDTH_OVER_BEAT = 5.0
 """-3 dB bandwidth of the channel (one pole) over the slowest beat of a run.
@@ -73,25 +72,20 @@ beside 12 pF. A square wave shows less than that by eye only when somebody looks
 SCALE_FACTOR_LIMIT = 0.01
 """Relative error of a scale factor that stands on a data sheet or a type plate: rounded, and of another unit."""
 
-TIME_BASE_LIMIT_PPM = 50.0
-"""Data sheet of the TDS2014."""
+TIME_BASE_LIMIT_PPM = 50.0  # data sheet of the TDS2014
 
 AC_CORNER_HZ = 10.0
 """Lower -3 dB corner of the oscilloscope's AC coupling with a direct cable, where nobody says that it was set to
 DC."""
 
-TABLE_RATE_LIMIT = 1e-3
-"""Relative error of the rate that a table shows, or that somebody reads from it."""
-
-LATITUDE_LIMIT_DEG = 0.1
-"""Of a bench whose latitude was looked up for its town."""
+TABLE_RATE_LIMIT = 1e-3  # relative error of the rate that a table shows, or that somebody reads from it
+LATITUDE_LIMIT_DEG = 0.1  # of a bench whose latitude was looked up for its town
 
 BIAS_LIMIT_DPH = 0.03
 """Bias of the gyro, deg/h: some three times that of a navigation gyro. A discharge whose two arms carry different
 currents makes degrees per hour; who measures lock-in balances it first."""
 
-FRONT_END_LIMIT = 0.1
-"""Relative error of a corner or of a response that the records were freed of: parts of 10 %."""
+FRONT_END_LIMIT = 0.1  # relative error of a corner or of a response that the records were freed of: parts of 10 %
 
 
 def lowest_bandwidth(slowest_beat_hz: float) -> float:
@@ -112,8 +106,7 @@ def lowest_gain_corner(slowest_beat_hz: float) -> float:
     return min(LOWEST_GAIN_CORNER_OVER_BEAT * slowest_beat_hz, LOWEST_GAIN_CORNER_HZ)
 
 
-_FITTED = 6
-"""Parameters of the waveform that each record's fit determines."""
+_FITTED = 6  # parameters of the waveform that each record's fit determines
 
 
 @dataclass(frozen=True)

@@ -181,11 +181,8 @@ def _rate_slopes(table: TableGeometry) -> tuple[float, float, float, float, floa
 
 
 _PHASES = 12
-_PHASE_LOST = 0.5
-"""rad: with a larger uncertainty the phase of the ratio is as good as unknown."""
-
-Factor = Callable[[float | Floats, float | Floats], Complexes]
-"""On rho, of beat frequencies and a corner in Hz."""
+_PHASE_LOST = 0.5  # rad: with a larger uncertainty the phase of the ratio is as good as unknown
+Factor = Callable[[float | Floats, float | Floats], Complexes]  # on rho, of beat frequencies and a corner in Hz
 
 CORNERS: tuple[tuple[str, str, str, Factor], ...] = (
     ("bandwidth", "bandwidth", "bandwidth of the channel", low_pass_on_ratio),

@@ -88,6 +88,7 @@ from analysis.fibre_gyro.window_mean import (
     mean_over_turns,
     noise_of_means,
     pooled_noise,
+    turn_by_encoder,
     turn_time,
     whole_turns_in,
 )
@@ -181,6 +182,7 @@ __all__ = [
     "table_runs",
     "temperature_coefficient_ppm",
     "temperature_course",
+    "turn_by_encoder",
     "turn_on_transient",
     "turn_time",
     "two_pi_error_of_drive",

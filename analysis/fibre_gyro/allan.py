@@ -55,8 +55,7 @@ _JUMP = 6.0  # standard deviations of one whitened increment of the blocks, that
 _LOUDER = 0.25  # of the power, by which parts that differ matter
 _INDEPENDENT = 2 / 3  # of increments of white noise
 
-Model = frozenset[str]
-"""Terms, the ramp among them."""
+Model = frozenset[str]  # terms, the ramp among them
 
 
 @dataclass(frozen=True)

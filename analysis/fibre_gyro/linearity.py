@@ -25,8 +25,7 @@ _PPM = 1e6
 _SIGNIFICANT = 3.0
 _RANGE = 2.0  # largest rate of a ladder over its smallest
 _DRAWS = 4000
-LADDER_TERMS = ("asymmetry", "quadratic", "linear", "quartic")
-"""Of the scale factor: s, c_2, c_1, c_4."""
+LADDER_TERMS = ("asymmetry", "quadratic", "linear", "quartic")  # of the scale factor: s, c_2, c_1, c_4
 
 
 @dataclass(frozen=True)

@@ -326,8 +326,7 @@ def _odd_part_of(runs: TableRuns, end_up: int, size: float) -> Floats:
 # middle of the runs, D its drift
 
 
-SAME_RATE = 1e-9
-"""deg/s: rates that were asked for and differ by less are the same."""
+SAME_RATE = 1e-9  # deg/s: rates that were asked for and differ by less are the same
 _FREEDOM_FOR_DRIFT = 3
 _HOUR = 3600.0
 

@@ -23,8 +23,7 @@ from analysis.waveform.converter import mean_rounding
 
 FEW_RESETS = 3
 FEW_SAMPLES_PER_STEP = 6
-MISFIT = 4.0
-"""Variance of the levels, over that of noise and rounding, beyond which they are no even staircase."""
+MISFIT = 4.0  # variance of the levels, over that of noise and rounding, beyond which they are no even staircase
 
 _WHITE = 0.5  # noise in levels before the converter from which on rounding is white to two per cent
 _EDGE_TO_POLE = 2.2  # width of the edge of a single pole from 10 % to 90 %, over its time constant
@@ -340,8 +339,7 @@ def _flags(levels: Levels, scatter: float, resets: int, period: float) -> tuple[
 # Positions are in samples; sample i stands for the time from i - 1/2 to i + 1/2
 
 
-MINIMUM_PERIOD = 3.0
-"""Samples per step; with fewer no sample is surely free of an edge."""
+MINIMUM_PERIOD = 3.0  # samples per step; with fewer no sample is surely free of an edge
 
 MINIMUM_STEPS = 8
 CANDIDATES = 4

@@ -35,13 +35,11 @@ from scipy.special import ndtr
 from analysis.arrays import Floats, Ints
 
 _SIZES = 18
-SLOW_NOISES = ("from value to value", "from segment to segment", "as 1/f", "as a walk")
-"""Kinds of slow noise."""
+SLOW_NOISES = ("from value to value", "from segment to segment", "as 1/f", "as a walk")  # kinds of slow noise
 _SHARES = (0.15, 0.15, 0.5, 0.2)  # of them before the data: 1/f is what fibre gyros are known for
 _SEGMENT, _SLOWEST = 0.02, 2.0  # of the time of the run
 _FLICKER_TERMS = 10
-_SEPARATE = 0.1
-"""Part of the change of dT/dt that no polynomial in T explains: less cannot be told from one."""
+_SEPARATE = 0.1  # part of the change of dT/dt that no polynomial in T explains: less cannot be told from one
 _NORMAL_95 = 1.959964
 _NEGLIGIBLE = 1e-7  # probability
 _NOTHING_BEYOND = 2.0  # weight of no slow noise, in that of one up to the noise of a value

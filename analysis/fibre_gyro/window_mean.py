@@ -296,3 +296,73 @@ def check_whole_turns(duration_s: float, rate_dps: float, *, tolerance_s: float)
         f"a window of {duration_s:.6g} s at {abs(rate_dps):g} deg/s is {duration_s / turn:.3f} turns, not a whole "
         f"number: use {' or '.join(choices)}"
     )
+
+
+@dataclass(frozen=True)
+class TurnOfTable:
+    """Whole turns of a table at a steady rate, as its encoder saw them."""
+
+    first: int  # row with which they begin
+    end: int  # behind the row in which they end
+    turns: int
+    rate_dps: float  # signed mean over them
+
+
+_MARKS = 12  # of the angle in one turn
+_SMOOTHED = 400  # parts of a log that are taken together: the steps of the encoder do not matter
+_FEWEST_ROWS = 16
+_UNSTEADY = 20.0, 3e-4  # small changes of the time of a turn, and share of it, that a steady table keeps within
+
+
+def turn_by_encoder(times_s: ArrayLike, angle_deg: ArrayLike, rate_dps: float) -> TurnOfTable:
+    """Whole turns in the longest stretch in which a table turns steadily, by its encoder.
+
+    Parameters
+    ----------
+    times_s, angle_deg : (n,)
+        Rows of a log; the angle may begin again at any multiple of 360 deg.
+    rate_dps : float
+        Signed rate, roughly: between two rows the table turns by less than half a turn more or less.
+
+    Raises
+    ------
+    ValueError
+        Too few rows, too fast a table, or not one whole turn.
+
+    Examples
+    --------
+    >>> times = np.arange(1000) * 0.1
+    >>> turn = turn_by_encoder(times, np.minimum(times, 80.0) * 10.001 % 360, 10.0)
+    >>> turn.turns, round(turn.rate_dps, 6)
+    (2, 10.001)
+    """
+    times, angle = np.asarray(times_s, dtype=np.float64), np.asarray(angle_deg, dtype=np.float64)
+    if times.size < _FEWEST_ROWS:
+        raise ValueError(f"{times.size} rows of the table's angle are too few to tell its rate")
+    if abs(rate_dps) * float(np.median(np.diff(times))) > 170.0:
+        raise ValueError("the table makes half a turn or more between two rows: its angle does not tell its rate")
+    ahead = np.unwrap(angle - rate_dps * times, period=360.0)
+    mean = np.ones(2 * (times.size // (2 * _SMOOTHED)) + 1)
+    at = np.convolve(times, mean / mean.size, "valid")
+    turned = np.convolve(ahead, mean / mean.size, "valid") + rate_dps * at
+    sense = 1.0 if turned[-1] > turned[0] else -1.0
+    turned = np.maximum.accumulate(sense * (turned - turned[0]))
+    marks = np.interp(np.arange(0.0, turned[-1] * (1 + 1e-12), 360.0 / _MARKS), turned, at)
+    # A ripple, and an encoder that sits off its axis, return with each turn: the time of a turn is free of them.
+    of_turn = marks[_MARKS:] - marks[:-_MARKS]
+    if not of_turn.size:
+        raise ValueError(f"the table turns by {turned[-1]:.4g} deg by its encoder: record a whole turn")
+    ordered, quarter = np.sort(of_turn), (of_turn.size + 3) // 4
+    densest = int((ordered[quarter - 1 :] - ordered[: ordered.size - quarter + 1]).argmin())
+    usual = float(np.median(ordered[densest : densest + quarter]))
+    changes = np.abs(np.diff(of_turn, append=of_turn[-1]))
+    unsteady = np.abs(of_turn - usual) > max(
+        _UNSTEADY[0] * float(np.quantile(changes, 0.25)), _UNSTEADY[1] * usual
+    )
+    bounds = np.concatenate([[-1], np.flatnonzero(unsteady), [of_turn.size]])
+    longest = int(np.diff(bounds).argmax())
+    turns, spare = divmod(int(bounds[longest + 1] - bounds[longest]) - 2 + _MARKS, _MARKS)
+    begin = int(bounds[longest]) + 1 + spare // 2
+    start_s, stop_s = float(marks[begin]), float(marks[begin + turns * _MARKS])
+    first, end = (int(row) for row in np.searchsorted(times, (start_s, stop_s)))
+    return TurnOfTable(first, min(end + 1, times.size), turns, sense * 360.0 * turns / (stop_s - start_s))

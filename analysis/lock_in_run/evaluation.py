@@ -311,8 +311,7 @@ def rates_by_table(several: SeveralRates) -> ByTable | None:
 
 
 _HARMONICS = 5
-_BY_CHANCE = 0.05
-"""What so few of many records show may be chance."""
+_BY_CHANCE = 0.05  # what so few of many records show may be chance
 
 
 @dataclass(frozen=True)

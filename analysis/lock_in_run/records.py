@@ -19,8 +19,7 @@ from analysis.harmonics import fit_free_harmonics
 from analysis.lockin_equation import Relation
 from analysis.lockin_rate import LockInEstimate, estimate_lock_in, noise_model, with_ratio
 
-_RECORDS_AT_ONCE = 1000
-"""20 MB of samples."""
+_RECORDS_AT_ONCE = 1000  # 20 MB of samples
 
 
 @dataclass(frozen=True)
@@ -272,8 +271,7 @@ _HARMONICS = 4
 _MOST_RECORDS = 400
 _AT_ONCE = 200
 
-_OWN_UNCERTAIN = 0.05
-"""Share of the beat's own third harmonic, r^2, that a slow channel may take away."""
+_OWN_UNCERTAIN = 0.05  # share of the beat's own third harmonic, r^2, that a slow channel may take away
 
 _UNSTEADY = int(Flag.CLIPPED | Flag.RATE_WANDER | Flag.HARMONICS_ALIASED | Flag.SECOND_HARMONIC_ABOVE_NYQUIST)
 

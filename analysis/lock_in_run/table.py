@@ -37,11 +37,8 @@ from analysis.lock_in_run.records import Method, RecordArrays, RunArrays, RunKno
 from analysis.lockin_rate import LockInEstimate
 from analysis.rotation import EARTH_RATE_DPS, earth_rate_on_axis, tilt_from_fast_runs
 
-UNLIKELY = 0.001
-"""A difference that chance makes less often than this is real."""
-
-_TELLS_NOTHING = 0.1
-"""Relative uncertainty of a scale factor that is not worth saying."""
+UNLIKELY = 0.001  # a difference that chance makes less often than this is real
+_TELLS_NOTHING = 0.1  # relative uncertainty of a scale factor that is not worth saying
 
 _HARMONICS_TRUSTED = 0.1
 """Relative standard uncertainty that the lock-in rate by the harmonics has where it must not decide on K."""
@@ -305,20 +302,15 @@ def axis_rates(slow: RecordArrays, tilt: Tilt, knowledge: RunKnowledge) -> AxisR
 # with h = K WL, table rate W_T, vertical earth rate w_v, azimuth a and a bias B of the gyro
 
 
-BIAS, _PLACES = 4, 6
-"""A, P, Q, h^2, B, and the place of a record between its two readings of the azimuth."""
+BIAS, _PLACES = 4, 6  # a, P, Q, h^2, B, and the place of a record between its two readings of the azimuth
 
 _RECTANGLE = math.sqrt(3.0)
 _UNIFORM_CURVE = math.sqrt(12.0)
-_NORTH_U = math.radians(0.1)
-"""Of the azimuth that is stated for north: somebody aligned it with care."""
-
-_FEWEST = 3
-"""Degrees of freedom: fewer tell next to nothing of a variance."""
+_NORTH_U = math.radians(0.1)  # of the azimuth that is stated for north: somebody aligned it with care
+_FEWEST = 3  # degrees of freedom: fewer tell next to nothing of a variance
 
 _ROUNDS, _CURVES_AT_ONCE = 60, 10_000
-_STILL = 1e-6
-"""Of the swing of the earth rate: what does not move."""
+_STILL = 1e-6  # of the swing of the earth rate: what does not move
 
 
 @dataclass(frozen=True)

@@ -221,8 +221,7 @@ def _one_period(gyro: Gyro, detector: Detector, point: int, sense: int) -> Float
 # Signals at the inputs of the oscilloscope, as functions of absolute time
 
 
-UNSEEN = 5e-4
-"""Of the amplitude: a twentieth of a level on a full screen."""
+UNSEEN = 5e-4  # of the amplitude: a twentieth of a level on a full screen
 
 _SAME_NOISE_S = 20e-6
 _POINTS_A_PERIOD = 6  # of the light, where nothing beats

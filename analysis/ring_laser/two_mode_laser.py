@@ -31,14 +31,12 @@ POINTS = 512
 STANDSTILL = 1e-4
 """A phase that turns by less than this share of its free speed counts as locked; no integrator gets through."""
 
-FEWEST = 33
-"""Points of the phase to begin with; twice as many until the last harmonics are `NEGLIGIBLE_LINE`."""
+FEWEST = 33  # points of the phase to begin with; twice as many until the last harmonics are `NEGLIGIBLE_LINE`
 
 NEGLIGIBLE_LINE = 1e-13
 ROUNDS = 30
 LONGEST_STEP = 0.5
-CONVERGED = 1e-8
-"""Newton's method squares its error: the next step would be rounding."""
+CONVERGED = 1e-8  # Newton's method squares its error: the next step would be rounding
 
 DETOUR = (4.0, 2.0, 1.5, 1.2, 1.1, 1.05, 1.02, 1.01, 1.0)
 """Rates, over the one wanted, by which a solution is reached that Newton's method does not find at once."""

@@ -306,14 +306,9 @@ def _beyond_first_order(points: Points, found: RatioFit, prior: Prior, most: flo
 
 _SEEN, _PASSES = 5.0, 2
 
-_HARDLY = 0.7
-"""Share of its uncertainty beforehand that the gain time has left, if the records hardly show it."""
-
-_MAYBE = 2.0
-"""Standard uncertainties beyond which a drift of the lock-in rate may be there."""
-
-_DRIFTS = 0.05
-"""Drifts over a run, rad or relative, up to which the means of the visits lose nothing."""
+_HARDLY = 0.7  # share of its uncertainty beforehand that the gain time has left, if the records hardly show it
+_MAYBE = 2.0  # standard uncertainties beyond which a drift of the lock-in rate may be there
+_DRIFTS = 0.05  # drifts over a run, rad or relative, up to which the means of the visits lose nothing
 
 
 def _as_large_as_seen(known: Prior, found: RatioFit) -> Prior:
@@ -540,12 +535,10 @@ FREE_OF_GAIN = ("lock-in", "distortion")
 DISTORTION_COST = 10.0
 """Distortion that costs more than this factor means rates too close together to tell it from lock-in."""
 
-LOOSE = 0.3
-"""A lock-in rate with a larger relative uncertainty is not determined."""
+LOOSE = 0.3  # a lock-in rate with a larger relative uncertainty is not determined
 
 MISFITS_BY_CHANCE = 0.05
-EXPLAINED = 5.0
-"""Third-order distortion of so many standard uncertainties is what the misfit of the records was."""
+EXPLAINED = 5.0  # third-order distortion of so many standard uncertainties is what the misfit of the records was
 
 
 def leave_out(points: Points, fit: RatioFit, prior: Prior) -> WithoutOneRate:
@@ -747,8 +740,7 @@ UNLIKELY_TABLE = 0.001
 MATTERS = 0.3
 """Table noise below this share of the relative u of the lock-in rate is left alone: it adds 5 % at most."""
 
-_LEAST_U = 1e-5
-"""Of a beat over its rate: what the motion of any table leaves in a mean over a record."""
+_LEAST_U = 1e-5  # of a beat over its rate: what the motion of any table leaves in a mean over a record
 
 _NORMAL_95 = 1.959964
 

@@ -329,8 +329,7 @@ def _column(name: str, values: ArrayLike, n: int) -> NDArray[np.generic]:
     return np.broadcast_to(array.ravel(), (n,))
 
 
-Run = tuple[Floats, Floats]
-"""Of each record (n,): its rate, and its place in the run."""
+Run = tuple[Floats, Floats]  # of each record (n,): its rate, and its place in the run
 
 
 def place_in_run(count: int) -> Floats:

@@ -50,8 +50,7 @@ from analysis.budget.bench import (
 
 Reference = Literal["rate", "beat"]
 
-N_PARAMETERS = 10
-"""Re z, Im z (deg/s), D, T (s), P (s^2), H, s, d1, d2 (rad), v."""
+N_PARAMETERS = 10  # Re z, Im z (deg/s), D, T (s), P (s^2), H, s, d1, d2 (rad), v
 
 SENSES, PHASES, DRIFT = 6, slice(6, 9), 9
 """The phase between the senses, all phases that may change, the drift of WL."""
@@ -214,8 +213,7 @@ def beyond_first_order(parameters: Floats, data: RatioData) -> tuple[Complexes, 
     return np.where(possible, ratio, 0.0), np.where(possible, third, 0.0)
 
 
-_SMALLEST, _LARGEST = 1e-8, 0.95
-"""Ratios between which a cubic law is worked out."""
+_SMALLEST, _LARGEST = 1e-8, 0.95  # ratios between which a cubic law is worked out
 
 _PHASES, _ROUNDS = 512, 6
 
@@ -274,8 +272,7 @@ def _third_by_low_pass(lag: Floats) -> Complexes:
 
 
 ITERATIONS = 80
-SETTLED = 1e-10
-"""A step that changes chi-square by less, relatively, was the last one."""
+SETTLED = 1e-10  # a step that changes chi-square by less, relatively, was the last one
 
 SINGULAR = 1e-11
 """A normal matrix (unit diagonal) with a smaller eigenvalue means unknowns that the data cannot tell apart."""
@@ -289,17 +286,14 @@ starts are taken."""
 _BESIDE = np.array([0.92, 0.97, 1.03, 1.08])
 """Lock-in rates over those found first, from which a second minimum close by is looked for."""
 
-_FIRST_ITERATIONS, _FINISHED = 15, 5
-"""All starts go a little way, the best of them to the end."""
+_FIRST_ITERATIONS, _FINISHED = 15, 5  # all starts go a little way, the best of them to the end
 
 _PROFILE_ITERATIONS = 25
 
-_NO_WAY_DOWN = 1e5
-"""Damping with which a step that still does not go down ends the search."""
+_NO_WAY_DOWN = 1e5  # damping with which a step that still does not go down ends the search
 
 _CLOSE = 1e-3
-_LARGEST_STEP = 0.999
-"""The slowest rate with a beat is faster than the lock-in rate by at least this share."""
+_LARGEST_STEP = 0.999  # the slowest rate with a beat is faster than the lock-in rate by at least this share
 
 
 @dataclass(frozen=True)

@@ -65,8 +65,7 @@ def up_to(found: RatioFit, most: float) -> RatioFit:
     return found[np.flatnonzero(np.hypot(found.parameters[:, 0], found.parameters[:, 1]) <= most)]
 
 
-_ANOTHER = 0.5
-"""Standard uncertainties by which another solution differs at least."""
+_ANOTHER = 0.5  # standard uncertainties by which another solution differs at least
 
 _SAME_RATE, _OTHER_RATE = 0.1, 1.5
 """Shares by which a rate may be off and still be that of its beat, and a factor by which none is off."""
@@ -224,8 +223,7 @@ def minimum_volumes(possible: RatioFit) -> Floats:
 # factor of all beats, a rate that is there all the time (the earth's) goes as 1/W: both are fitted beside c
 
 
-GAIN_OVER_DIFFERENCE = 3.0
-"""g_c/g_d, for a cross saturation of half the self saturation."""
+GAIN_OVER_DIFFERENCE = 3.0  # g_c/g_d, for a cross saturation of half the self saturation
 
 LEAST_U = 1e-6
 """Of a beat over its rate: no table turns more steadily from one rate to the next, whatever its display says."""

@@ -25,8 +25,7 @@ CROWDING, CROWDING_IN_NOISE = 4.0, 1.5
 one before, and less than as many if there is noise; one clipped by some levels many times more. Where a crest is
 sampled at a few of its phases only, again and again, it may look clipped: a few good samples are then left out."""
 
-NOISY = 0.6
-"""Levels of residual rms from which on there is noise in this sense."""
+NOISY = 0.6  # levels of residual rms from which on there is noise in this sense
 
 EXCESS = 0.17
 """Levels by which the fitted wave may lie beyond the samples in its last level, in the mean: a crest that just
@@ -34,31 +33,12 @@ fills its level lies 1/6 beyond, one clipped by a level mostly twice as far."""
 
 NOTHING = 1e-8
 
-NEARLY_WHOLE = 1e-3
-"""Single precision and the mean that was taken off leave codes whole to much better than this."""
-
-SPIKE = 7.0
-"""Residuals beyond this many (robust) standard deviations are no noise: once in 10^12 samples."""
-
-LONGEST_SPIKE = 4
-"""Samples in a row beyond which it is no spike, but a piece of another signal."""
-
-SETTLING = 20
-"""Samples from the first one on in which something that dies away so soon may be seen."""
-
-BESIDE = 3.5
-"""The same for a sample beside one beyond `SPIKE`: noise has one there in a thousand spikes."""
-
-TOGETHER = 1e-6
-"""Share of records in which as many spikes at random places stand as close together."""
-
-
-@dataclass(frozen=True)
-class Outliers:
-    """found : (N,) samples that are no noise; piece : whether they are not spikes, but part of another signal."""
-
-    found: Bools
-    piece: bool
+NEARLY_WHOLE = 1e-3  # single precision and the mean that was taken off leave codes whole to much better than this
+SPIKE = 7.0  # residuals beyond this many (robust) standard deviations are no noise: once in 10^12 samples
+LONGEST_SPIKE = 4  # samples in a row beyond which it is no spike, but a piece of another signal
+SETTLING = 20  # samples from the first one on in which something that dies away so soon may be seen
+BESIDE = 3.5  # the same for a sample beside one beyond `SPIKE`: noise has one there in a thousand spikes
+TOGETHER = 1e-6  # share of records in which as many spikes at random places stand as close together
 
 
 @dataclass(frozen=True)
@@ -161,8 +141,9 @@ def _how_many(found: Bools) -> Counts:
 
 def outliers(
     values: Samples, masks: Masks, series: Series, residual: Residual, swing: Samples
-) -> dict[int, Outliers]:
-    """Samples that are single spikes, by record. Many of them are a misfit, not spikes, and are kept."""
+) -> dict[int, tuple[Bools, bool]]:
+    """Samples (N,) of each record that are no noise, and whether they are part of another signal, not spikes."""
+    # Many of them are a misfit, and are kept.
     spikes = {}
     # A single spike cannot hide: it stands out of the rms that it itself has raised. Missing samples are 0.
     rms = np.sqrt(residual.power / values.shape[1])
@@ -172,7 +153,7 @@ def outliers(
         noise = _noise_along(size, values[row] - left, valid)
         found = size > np.maximum(SPIKE * noise, NOTHING * float(swing[row]))
         if found.any() and found.mean() <= 0.02:
-            spikes[row] = Outliers(found, is_a_piece(found, size > BESIDE * noise))
+            spikes[row] = found, is_a_piece(found, size > BESIDE * noise)
     return spikes
 
 
@@ -185,8 +166,7 @@ def _noise_along(size: Samples, wave: Samples, valid: slice | Bools) -> Floats:
     return np.maximum(1.4826 * np.array(at_heights), whole)[height]
 
 
-HEIGHTS = 8
-"""Parts of the beat, from its lowest samples to its highest, that have a noise of their own."""
+HEIGHTS = 8  # parts of the beat, from its lowest samples to its highest, that have a noise of their own
 
 
 def is_a_piece(found: Bools, suspect: Bools) -> bool:
@@ -232,24 +212,19 @@ SMALLEST_TERM = 1e-4
 SILENT = 0.36
 """Residual rms in levels above which no rounding error repeats, and one correction is enough: 0.2 of noise."""
 
-LEAST_RMS = 0.08
-"""Residual rms in levels that the truncated series leaves of a record without any noise."""
+LEAST_RMS = 0.08  # residual rms in levels that the truncated series leaves of a record without any noise
 
 LEFTOVER, LEFTOVER_FALL = 0.22, 0.075
 """Relative surplus of the uncertainty there, and the rms over which it falls to a third."""
 
 REPEATED = 1.3
-LOCKED = 6.0
-"""Repetition from which on the rounding errors are too few to be told from the waveform itself."""
-
-SAME_PHASE = 0.05
-"""Beat periods by which a cycle may drift over the record and still repeat."""
+LOCKED = 6.0  # repetition from which on the rounding errors are too few to be told from the waveform itself
+SAME_PHASE = 0.05  # beat periods by which a cycle may drift over the record and still repeat
 
 AS_OFTEN = 2.5
 """The spectrum's lines scatter, so the repetition found may exceed the number of cycles by this factor."""
 
-FEW_ERRORS = 1.25
-"""Factor of the variance for so few errors, which are not Gaussian, from random records as above."""
+FEW_ERRORS = 1.25  # factor of the variance for so few errors, which are not Gaussian, from random records as above
 
 RUNS = (50, 400)
 """So many neighbouring samples of a record are compared to see whether rounding might matter at all; then more of

@@ -47,17 +47,13 @@ from analysis.waveform.varying_rate import (
     smooth_motions,
 )
 
-SINGLE_PRECISION_SWING = 1e-12, 1e12
-"""Volts between which squares are safe in single precision."""
+SINGLE_PRECISION_SWING = 1e-12, 1e12  # volts between which squares are safe in single precision
 
 SINGLE_PRECISION_NOISE = 1e-4
 """Noise over swing below which single precision would show: less than a fiftieth of an eight-bit level."""
 
-TRACKED_FROM = 1e-4
-"""Residual over fundamental below which no motion is tried: a wander of s rad leaves about s."""
-
-WORTH_MOVING = 0.98
-"""Share of the residual power that a motion may leave to be worth its parameters."""
+TRACKED_FROM = 1e-4  # residual over fundamental below which no motion is tried: a wander of s rad leaves about s
+WORTH_MOVING = 0.98  # share of the residual power that a motion may leave to be worth its parameters
 
 MOST_WALK = 20.0
 """rad of random walk over the record up to which a record that is no beat at a steady rate may be one with a noisy
@@ -73,8 +69,7 @@ ratio's variance grows with the sixth power of this over the periods."""
 COLOURFUL = 2.0
 """Variance factor from which on a smooth motion leaves so much about the beat that the exact one is asked too."""
 
-MOVING_AT_ONCE = 256
-"""Records with a motion that are worked on together."""
+MOVING_AT_ONCE = 256  # records with a motion that are worked on together
 
 N_PARAMETERS = 6
 FEWEST_SAMPLES = 12
@@ -187,7 +182,7 @@ def _fit_alike(records: Records, clipped: Bools | None) -> WaveformFit:
         spiked = never_alone(np.array(list(spikes)))
         mask = masks.of_all(spiked)
         for place, row in enumerate(map(int, spiked)):
-            mask[place, spikes[row].found] = 0.0
+            mask[place, spikes[row][0]] = 0.0
         masks = masks.changed(spiked, mask)
         some = values[spiked] * mask
         refitted = fit_series(some, mask)  # anew: the spikes may have led the first fit astray
@@ -199,7 +194,7 @@ def _fit_alike(records: Records, clipped: Bools | None) -> WaveformFit:
     flags[repeats] |= Flag.ROUNDING_REPEATS
     covariance = fit.covariance * rounding[:, np.newaxis, np.newaxis]
     judged = _judged(records, masks, fit.series, covariance, left, count, flags)
-    judged.flags[[row for row, one in spikes.items() if one.piece]] |= Flag.MISFIT
+    judged.flags[[row for row, (_, piece) in spikes.items() if piece]] |= Flag.MISFIT
     return judged
 
 
@@ -458,8 +453,7 @@ def _valid_left(values: Samples, masks: Masks, series: Series, row: int) -> Floa
     return left if mask is None else left[mask > 0]
 
 
-THIRD_DIFFERENCE = 0.6745 * np.sqrt(20)
-"""Median size of the third difference of white noise, over its rms."""
+THIRD_DIFFERENCE = 0.6745 * np.sqrt(20)  # median size of the third difference of white noise, over its rms
 
 STRAY = 2.0
 """Residual over the noise of neighbouring samples from which on a model does not know where the limits are met."""
@@ -501,8 +495,7 @@ ORDER = 3
 NOT_KNOWN = int(FATAL | Flag.CLIPPED | Flag.DAMAGED | Flag.RATE_WANDER | Flag.ROUNDING_REPEATS)
 """Records in which other things leave something at the third harmonic."""
 
-SMALLEST = 1e-4
-"""Least uncertainty, -80 dBc: rounding to levels leaves that much in quiet records."""
+SMALLEST = 1e-4  # least uncertainty, -80 dBc: rounding to levels leaves that much in quiet records
 
 
 def third_harmonic(fit: WaveformFit, n_samples: int) -> tuple[Complexes, Floats]:
@@ -534,8 +527,7 @@ def third_harmonic(fit: WaveformFit, n_samples: int) -> tuple[Complexes, Floats]
 
 PARTS = 20
 
-CHANCE = 1e-6
-"""Share of records in which noise leaves so much more in one part than in the others."""
+CHANCE = 1e-6  # share of records in which noise leaves so much more in one part than in the others
 
 LINES, IN_PHASE, FIRST_LINES, STRONGER = 24, 0.8, 3, 4.0
 """So many lines from the lowest on are looked at. Steps from one to the next whose directions have a mean of this
@@ -544,8 +536,7 @@ length come by chance in 2 of 10^7 records."""
 LONGEST_RUN, FAR = 20, 5.0
 """Samples of one sign in a row beyond so many (robust) standard deviations that no noise has."""
 
-SMOOTH = 3.0
-"""Standard deviations by which the products of neighbouring samples must exceed those of white noise."""
+SMOOTH = 3.0  # standard deviations by which the products of neighbouring samples must exceed those of white noise
 
 
 def passing_power(left: Floats) -> float:
@@ -616,8 +607,7 @@ UNLIKELY, RARE = 1e-4, 1e-2
 """Shares of records in which noise shows so large a drift that a flag says so, where something moved besides, or
 that it counts."""
 
-SURE = 1e-6
-"""The same for the flag where nothing else speaks against the record."""
+SURE = 1e-6  # the same for the flag where nothing else speaks against the record
 
 HIDDEN = 2.0
 """What may hide behind a drift from the middle of the record to its end, over that: as with two beats that part by

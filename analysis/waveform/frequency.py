@@ -15,8 +15,7 @@ from analysis.arrays import Bools, Complexes, Floats, Indices, Samples
 
 Sizes = NDArray[np.float32]
 
-TAKEN = 2.5
-"""Bins on either side of a line that are taken to belong to it."""
+TAKEN = 2.5  # bins on either side of a line that are taken to belong to it
 
 
 @dataclass(frozen=True)
@@ -175,11 +174,8 @@ AT_ONCE_BYTES = 2**21
 """Bytes of samples that go through several passes together: so few that a cache holds them until all passes are
 done, so many that the cost of calling NumPy does not count."""
 
-THINNING = 5
-"""A fifth of the samples is enough to see whether a level may be crowded."""
-
-LIFTED = 10.0
-"""Mean over swing beyond which a record must be centred in double precision."""
+THINNING = 5  # a fifth of the samples is enough to see whether a level may be crowded
+LIFTED = 10.0  # mean over swing beyond which a record must be centred in double precision
 
 # The C library of Linux gives large blocks back to the system as soon as they are free, and a block asked for
 # again is then made of fresh pages, which takes longer than the arithmetic on it. Once it has seen a block of this

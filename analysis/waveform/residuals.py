@@ -33,14 +33,9 @@ from analysis.waveform.series import Series, data_sums, sampled_blocks, sampled_
 # what all records of a bench have in common does not average out
 
 
-LINE_CHANCE = 1e-6
-"""A residual line that noise would produce in fewer than this share of records is a misfit."""
-
-NEIGHBOURS = 24
-"""Bins on either side over which the spectrum of noise is taken to be flat."""
-
-CLEAR = 6.0
-"""Levels of its neighbourhood beyond which the power of a bin counts: noise does so once in 400 bins."""
+LINE_CHANCE = 1e-6  # a residual line that noise would produce in fewer than this share of records is a misfit
+NEIGHBOURS = 24  # bins on either side over which the spectrum of noise is taken to be flat
+CLEAR = 6.0  # levels of its neighbourhood beyond which the power of a bin counts: noise does so once in 400 bins
 
 CURVED = 2.0
 """Size of the second harmonic that a curved characteristic may make, over that of a higher one that is seen."""
@@ -53,8 +48,7 @@ FLOOR_PARTS = 8
 LEFT_OVER = 6.0
 """Standard deviations by which the whole must exceed it to say that the moving phase is not the right one."""
 
-PEDESTAL = 6.0
-"""Standard deviations by which the power about the fundamental must exceed that on its sides."""
+PEDESTAL = 6.0  # standard deviations by which the power about the fundamental must exceed that on its sides
 
 
 def surroundings(power: Samples) -> Floats:
@@ -155,8 +149,7 @@ LARGE, SMOOTH = 0.5, 0.5
 """What is left may have so much of the signal's power only if its neighbouring samples do not agree by so much: a
 chirp has a flat spectrum too, but is no noise."""
 
-LEFT_BY_MOTION = 0.01
-"""The same where a moving phase was fitted, which can follow nearly anything."""
+LEFT_BY_MOTION = 0.01  # the same where a moving phase was fitted, which can follow nearly anything
 
 ABOUT_SECOND = 2.0
 """Levels of noise about the second harmonic, in five bins, from which on the ratio may drift: 3 % of records."""
@@ -492,8 +485,7 @@ class Masks:
 # alone
 
 
-FIRST, LAST = 4, 12
-"""Harmonics that are looked at, each in the two bins next to it."""
+FIRST, LAST = 4, 12  # harmonics that are looked at, each in the two bins next to it
 
 SEEN, SURE = 2e-3, 1e-6
 """Shares of records of noise alone in which they are so strong that it counts, and that a flag says so."""
@@ -508,8 +500,7 @@ HIDDEN = 2.0
 BESIDE = 24
 """Bins on either side of a harmonic over which the noise is taken to be flat, or half the way to the next one."""
 
-FEWEST_BESIDE = 24
-"""Bins of noise without which nothing is said."""
+FEWEST_BESIDE = 24  # bins of noise without which nothing is said
 
 NOTHING = 1e-200
 
@@ -634,8 +625,7 @@ def _steps(means: Floats) -> bool:
     return bool(np.max(step**2) > ONE_STEP * np.mean(step**2))
 
 
-STEP, ONE_STEP = 8, 12.0
-"""Heights on either side of a step, and times by which it exceeds the others in power."""
+STEP, ONE_STEP = 8, 12.0  # heights on either side of a step, and times by which it exceeds the others in power
 
 
 def _bins_of(place: float, n_samples: int, n_lines: int) -> tuple[int, int]:

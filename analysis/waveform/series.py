@@ -34,8 +34,7 @@ RATIO_CLASSES = (0.01, 0.03, 0.06, 0.1, 0.2, 0.45, 0.7, 0.86)
 """Records are fitted together up to these ratios, each of which says how many harmonics its class needs: a number
 that must not depend on what else is in the batch, or the last digits would."""
 
-MANY_HARMONICS = 40
-"""Beyond this many, the closed form on the samples is cheaper than the sum of the harmonics."""
+MANY_HARMONICS = 40  # beyond this many, the closed form on the samples is cheaper than the sum of the harmonics
 
 
 @dataclass(frozen=True)
@@ -371,8 +370,7 @@ RIDGE = 1e-13
 variance comes out enormous, as it should."""
 
 
-ROUNDING = 1e-3
-"""Relative error of an inverse that is still no sign of a singular matrix."""
+ROUNDING = 1e-3  # relative error of an inverse that is still no sign of a singular matrix
 
 
 def empty_matrices(n_records: int, size: int) -> Floats:
@@ -471,8 +469,7 @@ SUMS_AT_ONCE = 4500
 not count."""
 
 
-UNIFORM_PHASES = np.array([1, 1j, 1])[:, np.newaxis]
-"""Factors of `uniform_kernels` for p = 0, 1, 2."""
+UNIFORM_PHASES = np.array([1, 1j, 1])[:, np.newaxis]  # factors of `uniform_kernels` for p = 0, 1, 2
 
 
 def harmonic_powers(turn: Phasors, highest: int, lowest: int = 0, axis: int = -1) -> Phasors:

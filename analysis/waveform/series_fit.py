@@ -23,8 +23,7 @@ from analysis.waveform.series import (
     uniform_kernels,
 )
 
-PLAIN_RATIO = 0.6
-"""Up to this ratio of the two lines the spectrum's start is good enough for Gauss-Newton."""
+PLAIN_RATIO = 0.6  # up to this ratio of the two lines the spectrum's start is good enough for Gauss-Newton
 
 UNEXPLAINED = 0.12
 """The strongest line is the fundamental if it and its ratio explain the power of the record to this share: one
@@ -79,8 +78,7 @@ FEW_PERIODS = 8.0
 SLOW_GRID = np.arange(1.75, FEW_PERIODS, 0.25)
 """Periods in a record that has so few of them that its lines are not apart."""
 
-REFINEMENTS = (0.12, 0.06)
-"""The start is then improved to within about this many bins."""
+REFINEMENTS = (0.12, 0.06)  # the start is then improved to within about this many bins
 
 
 def start_of_series(values: Samples, weights: Samples | None) -> Series:

@@ -32,34 +32,22 @@ from scipy.linalg import lapack
 
 from analysis.arrays import Bools, Complexes, Floats, Indices, Ints, Samples
 
-SLOW = 4
-"""Legendre polynomials of amplitude and of offset."""
-
-OTHERS = 2 + 2 * SLOW
-"""Parameters beside the path: s, c, amplitude, offset."""
+SLOW = 4  # Legendre polynomials of amplitude and of offset
+OTHERS = 2 + 2 * SLOW  # parameters beside the path: s, c, amplitude, offset
 
 KNOTS_PER_PERIOD, FEWEST_KNOTS, MOST_KNOTS = 1.75, 6, 160
-KNOT_CLASSES = 1.1
-"""The numbers of knots that occur are so far apart: records of like numbers are fitted together."""
-
-ORDERS = (2, 3, 4)
-"""Differences of the path whose size is that of noise."""
-
-AT_ONCE = 8
-"""Records whose samples are worked on together: they stay in the cache."""
+KNOT_CLASSES = 1.1  # the numbers of knots that occur are so far apart: records of like numbers are fitted together
+ORDERS = (2, 3, 4)  # differences of the path whose size is that of noise
+AT_ONCE = 8  # records whose samples are worked on together: they stay in the cache
 
 NOT_AT_CRESTS = 0.02
 """Trust in a phase that was read from the samples where they are at a crest, over that between two."""
 
-FREED, TIED = 4, 1e3
-"""So many iterations about a step go with a path that is as tight as that."""
-
-ITERATIONS, ENOUGH = 7, 0.03
-"""A step that gains less than so many variances of a sample's noise is the last one."""
+FREED, TIED = 4, 1e3  # so many iterations about a step go with a path that is as tight as that
+ITERATIONS, ENOUGH = 7, 0.03  # a step that gains less than so many variances of a sample's noise is the last one
 
 RIDGE = 1e-10
-LOOSEST, TIGHTEST = 1e-6, 1e14
-"""Weights of the differences."""
+LOOSEST, TIGHTEST = 1e-6, 1e14  # weights of the differences
 
 
 @dataclass(frozen=True)
@@ -461,8 +449,7 @@ def _first(values: Floats, mask: Floats, phase: Floats, trust: Floats, basis: _B
 CHANGES, GROWTH = np.arange(2, 2 * SLOW), 2 * SLOW
 """Places among the other parameters of what s and c may do besides, and of their growth at a step."""
 
-AT_ENDS = 0.01
-"""Share of the samples that may lie lower: a path is hardly known at the very ends of a record."""
+AT_ENDS = 0.01  # share of the samples that may lie lower: a path is hardly known at the very ends of a record
 
 CUT_OFF = 1.25
 """Rate times the length of an interval from which on a path cannot follow the noise of the rate at the beat."""

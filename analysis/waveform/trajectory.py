@@ -104,14 +104,9 @@ class _Edge:
         return _Edge(sin, cos, pull, -cos * speed - sin * pull, -sin * speed + cos * pull)
 
 
-LARGEST_TURN = 1.0
-"""rad by which a phase may change in one step of the fit."""
-
-SHORTER, SHORTENED = 4.0, 6
-"""A step that makes the fit worse is tried again so many times shorter, and so often."""
-
-ENOUGH = 1e-3
-"""Gain of a last step, in variances of a sample's noise: a thirtieth of a standard uncertainty."""
+LARGEST_TURN = 1.0  # rad by which a phase may change in one step of the fit
+SHORTER, SHORTENED = 4.0, 6  # a step that makes the fit worse is tried again so many times shorter, and so often
+ENOUGH = 1e-3  # gain of a last step, in variances of a sample's noise: a thirtieth of a standard uncertainty
 
 RIDGE = 1e-12
 
@@ -372,8 +367,7 @@ class _Equations:
 # Legendre polynomials over a record: slow motions of rate, amplitude and offset are sums of them
 
 
-HIGHEST = 260
-"""Degree: enough for a motion of eighty cycles in the record."""
+HIGHEST = 260  # degree: enough for a motion of eighty cycles in the record
 
 
 @dataclass(frozen=True)

@@ -23,8 +23,7 @@ from analysis.waveform.trajectory import (
     polynomials,
 )
 
-SLOW_TERMS = 4
-"""Polynomials of amplitude and offset to begin with: up to the third degree."""
+SLOW_TERMS = 4  # polynomials of amplitude and offset to begin with: up to the third degree
 
 RATE_TERMS, RATE_TERMS_PER_PERIOD = 6, 2.0
 """A motion as fast as the beat itself could not be told from lock-in: with so many polynomials per period, the
@@ -44,8 +43,7 @@ of what the noise leaves unknown."""
 
 ITERATIONS, LAST_ITERATIONS = 4, 8
 
-NOISY_RATE = 12.0
-"""-2 log likelihood by which noise of the rate must explain a record better than an exact motion."""
+NOISY_RATE = 12.0  # -2 log likelihood by which noise of the rate must explain a record better than an exact motion
 
 COARSEST, FINEST = 1.2, 0.1
 """Logarithm of the looseness to which such noise is found, before the terms are chosen, and after."""
@@ -66,8 +64,7 @@ FEW_PERIODS, SLOWED = 10.0, 0.35
 """With fewer periods than that a rate that falls below this share of its mean is doubtful too: a gyro that comes
 to rest leaves too little of a beat to show it."""
 
-WEAKEST = 0.3
-"""The same for the amplitude, over its largest: a beam that is weaker than that was not drifting."""
+WEAKEST = 0.3  # the same for the amplitude, over its largest: a beam that is weaker than that was not drifting
 
 
 @dataclass(frozen=True)
@@ -433,17 +430,10 @@ def _integral(values: Floats) -> Floats:
 # sine of the sample. Wander of any size, sidebands and a fundamental that is nowhere in the spectrum do not matter
 
 
-SWUNG = 0.25
-"""Share of the amplitude by which the signal must cross its middle to begin the next half period."""
-
-REACHED = 0.9
-"""Share of the amplitude from which on the first and the last extreme of a record count as a crest."""
-
-QUIET = 0.06
-"""Noise over amplitude at which crests are found without smoothing."""
-
-KEPT_LINES = 3
-"""Smoothing keeps at least so many times the frequency of the strongest line."""
+SWUNG = 0.25  # share of the amplitude by which the signal must cross its middle to begin the next half period
+REACHED = 0.9  # share of the amplitude from which on the first and the last extreme of a record count as a crest
+QUIET = 0.06  # noise over amplitude at which crests are found without smoothing
+KEPT_LINES = 3  # smoothing keeps at least so many times the frequency of the strongest line
 
 FEWEST_CRESTS = 6
 ENVELOPE_TERMS = 4
@@ -453,8 +443,7 @@ STEP_STANDS_OUT = 12.0
 logarithms times their number; a wrong one costs little, since the fit drops it again."""
 
 
-NOT_APART = 1e-9
-"""Determinant of two columns from which on they count as one."""
+NOT_APART = 1e-9  # determinant of two columns from which on they count as one
 
 
 @dataclass(frozen=True)
@@ -588,8 +577,7 @@ def _bridged(phase: Floats, valid: Bools) -> Floats:
 # Whether what a steady fit leaves of a record may come from a motion of the rate, the intensity, the baseline
 
 
-BESIDE = 0.5
-"""Share of its frequency about the fundamental in which sidebands are looked for."""
+BESIDE = 0.5  # share of its frequency about the fundamental in which sidebands are looked for
 
 LOWEST, NEXT = slice(0, 3), slice(7, 24)
 """Lines 1 to 3, where a drift or a step of the baseline stands, and lines 8 to 24."""
@@ -605,8 +593,7 @@ MOST_REPEATING = 0.5
 
 HARMONICS = 8
 
-MOST_BESIDE = 64
-"""Lines on either side of the fundamental that are looked at."""
+MOST_BESIDE = 64  # lines on either side of the fundamental that are looked at
 
 ONE_SIDED, BANDS = 6.0, (2, 4, 8, 16)
 """Surplus of the stronger of phase and amplitude over the other, in its scatter for noise; in the so many slowest
@@ -696,14 +683,9 @@ def _about_beat(left: Floats, series: Series, line: Floats) -> tuple[Complexes, 
 # their feet reach the second harmonic: there they add 0.2 to 0.4 s/periods (rms) to the ratio
 
 
-LARGEST_SMALL, FEET = 0.015, 0.35
-"""rad; foot on the second harmonic over s, times the periods."""
-
-HARMLESS = 0.35
-"""What that foot may be, in standard uncertainties of the ratio by noise."""
-
-STEADY_AMPLITUDE = 4.0
-"""Standard deviations of noise by which the amplitude may move."""
+LARGEST_SMALL, FEET = 0.015, 0.35  # rad; foot on the second harmonic over s, times the periods
+HARMLESS = 0.35  # what that foot may be, in standard uncertainties of the ratio by noise
+STEADY_AMPLITUDE = 4.0  # standard deviations of noise by which the amplitude may move
 
 
 def small_motions(left: Floats, series: Series, covariance: Floats) -> tuple[MovingFits, Bools]:

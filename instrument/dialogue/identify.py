@@ -158,11 +158,8 @@ def parse_identity(answer: str) -> Identity:
 # Programmer manual 071-1075-04, pp. 3-1 to 3-22
 
 
-POWER_ON = 128
-"""Bit of the standard event status register: the scope was switched on since it was last read."""
-
-ERROR_BITS = 32 | 16 | 8 | 4
-"""Bits for command, execution, device and query errors."""
+POWER_ON = 128  # bit of the standard event status register: the scope was switched on since it was last read
+ERROR_BITS = 32 | 16 | 8 | 4  # bits for command, execution, device and query errors
 
 _NOTHING_TO_REPORT = (0, 1)
 _PLAIN_EVENTS = (401, 402, 403)  # power on, operation complete, user request

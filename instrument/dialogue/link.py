@@ -42,26 +42,19 @@ from instrument.text_files import note
 ANSWER_TIME = 3.0
 """Longest time in s until an answer begins: twice the 1.5 s that units of this family were seen to take."""
 
-PAUSE_TIME = 0.5
-"""Longest silence in s inside an answer that has begun."""
-
-LINE_MARGIN = 1.5
-"""Real time over ideal time of a serial line, for flow control and the other side's scheduling."""
-
-SLICE_TIME = 0.1
-"""Step in s in which a stream is watched for the other side hanging up."""
+PAUSE_TIME = 0.5  # longest silence in s inside an answer that has begun
+LINE_MARGIN = 1.5  # real time over ideal time of a serial line, for flow control and the other side's scheduling
+SLICE_TIME = 0.1  # step in s in which a stream is watched for the other side hanging up
 
 DEFAULT_BAUD_RATE = 9600
 """The scope's factory setting (user manual 071-1064-00, p. 136)."""
 
-BITS_PER_BYTE = 10
-"""One start bit, eight data bits, one stop bit."""
+BITS_PER_BYTE = 10  # one start bit, eight data bits, one stop bit
 
 GPIB_BYTES_PER_SECOND = 20_000.0
 """A tenth of the rate named in 071-1064-00, appendix E: the slowest that a framed link should ever be."""
 
-LONGEST_PICTURE = 1_000_000
-"""Bytes; a colour picture of 640 x 480 pixels fits."""
+LONGEST_PICTURE = 1_000_000  # bytes; a colour picture of 640 x 480 pixels fits
 
 _ADAPTER_BITS_PER_SECOND = 115_200  # of the slowest stream between computer and GPIB adapter
 

@@ -16,11 +16,8 @@ from instrument import scpi
 from instrument.errors import SettingError, TransferError
 from instrument.waveform import Preamble, Waveform, decode_curve
 
-PREAMBLE_FIELDS = 16
-"""Fields of ``WFMPre?`` of a waveform that is displayed."""
-
-TRANSMISSION_FIELDS = 5
-"""Fields of ``WFMPre?`` of a waveform that is not."""
+PREAMBLE_FIELDS = 16  # fields of ``WFMPre?`` of a waveform that is displayed
+TRANSMISSION_FIELDS = 5  # fields of ``WFMPre?`` of a waveform that is not
 
 _STOPPED, _RUNNING = "0", "1"
 

@@ -20,8 +20,7 @@ from typing import Protocol
 
 _MEAN_GAIN, _SPREAD_GAIN = 1 / 8, 1 / 4
 _MEANS, _SPREADS = 2.0, 4.0  # RFC 6298 takes one mean: here a silence costs more than it does TCP
-_FEWEST = 3
-"""Answers of a kind from which on they tell something."""
+_FEWEST = 3  # answers of a kind from which on they tell something
 
 
 @dataclass
@@ -131,8 +130,7 @@ class Persistence:
         return self.attempts > 1
 
 
-ATTEMPTS = 8
-"""Attempts of a run that nobody watches: one message in five may be spoiled each way, and it goes on."""
+ATTEMPTS = 8  # attempts of a run that nobody watches: one message in five may be spoiled each way, and it goes on
 
 RECONNECT_FOR = 90.0
 """Time in s for which it tries to connect again: a plug that was pulled, a scope that starts up."""

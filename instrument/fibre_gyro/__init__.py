@@ -6,6 +6,7 @@ and numbers, as `frame_format` describes them), `record_builder` (when, with `ho
 """
 
 from instrument.errors import CommandRefused, FrameFormatError, NoAcknowledgement
+from instrument.fibre_gyro.frame_fields import TABLE_ANGLE
 from instrument.fibre_gyro.frame_format import FrameFormat, parse_frame_format
 from instrument.fibre_gyro.link import FibreGyroLink
 from instrument.fibre_gyro.logs import OUTPUT_UNITS, GyroLog, LogChoices, read_gyro_log, read_log, write_gyro_log
@@ -23,6 +24,7 @@ __all__ = [
     "ANGLES",
     "HOST_CLOCK_U",
     "OUTPUT_UNITS",
+    "TABLE_ANGLE",
     "CommandRefused",
     "FibreGyroLink",
     "FrameFormat",

@@ -256,6 +256,7 @@ class CheckRule:
 
 
 COUNTER, COUNTS, TEMPERATURE, STATUS, UNUSED = "counter", "counts", "temperature", "status", "unused"
+TABLE_ANGLE = "table_deg"  # of the rate table by its encoder, deg
 FIXED, PARITY, CHECK = "fixed", "parity", "check"
 _WITHOUT_VALUE = (UNUSED, FIXED, PARITY, CHECK)
 
@@ -274,8 +275,7 @@ class StatusRule:
     value: int = 0
 
 
-ANY_STATUS = StatusRule()
-"""Every status is good."""
+ANY_STATUS = StatusRule()  # every status is good
 
 
 @dataclass(frozen=True)

@@ -294,8 +294,7 @@ def _text_evidence(layout: FrameFormat) -> int:
 # Some seconds of bytes, from a port with their times, or from a file
 
 
-LOOKED_AT = 500_000
-"""Bytes of a file that are looked at."""
+LOOKED_AT = 500_000  # bytes of a file that are looked at
 
 
 @dataclass(frozen=True)

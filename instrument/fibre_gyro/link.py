@@ -22,8 +22,7 @@ from instrument.fibre_gyro.frame_stream import Answer, Event, FrameStream
 from instrument.fibre_gyro.frames import Frame
 from instrument.fibre_gyro.recording import HOST_DELAY_S, WRONG, Losses, RecordBuilder, Recording, counts_per_unit
 
-SLICE_S = 0.02
-"""Time in s that one read of the port waits for its bytes."""
+SLICE_S = 0.02  # time in s that one read of the port waits for its bytes
 
 ATTEMPTS = 3
 """How often a command is sent that is not acknowledged. Each sets a state, so twice is as good as once."""

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from instrument.errors import FileFormatError
-from instrument.fibre_gyro.frame_fields import COUNTER, COUNTS, STATUS, TEMPERATURE, is_output
+from instrument.fibre_gyro.frame_fields import COUNTER, COUNTS, STATUS, TABLE_ANGLE, TEMPERATURE, is_output
 from instrument.fibre_gyro.recording import Floats, Gap, Losses, Recording
 from instrument.text_files import open_plain_file
 
@@ -127,6 +127,8 @@ def _read(text: IO[str], choices: LogChoices) -> GyroLog:
     outputs = {name: columns.pop(name) for name in list(columns) if is_output(name)}
     unit = _output_unit(outputs, unit_of, choices.units)
     _check_words(outputs, table.lines)
+    if (unit_of_angle := unit_of.get(TABLE_ANGLE, "")) not in ("", "deg", "degree", "degrees", "°"):
+        raise FileFormatError(f"the angle of the table must be in deg, not in {unit_of_angle!r}")
     counter, status = columns.pop(COUNTER, None), columns.pop(STATUS, None)
     times = columns.pop(TIME, None)
     if times is not None:
@@ -313,8 +315,7 @@ class LogTable:
     lines: NDArray[np.int64]
 
 
-Names = Callable[[Dialect], list[str]]
-"""Gives each column its name, "" to leave it out."""
+Names = Callable[[Dialect], list[str]]  # gives each column its name, "" to leave it out
 
 
 def read_table(text: IO[str], names_of: Names) -> tuple[Dialect, list[str], LogTable]:
@@ -702,6 +703,7 @@ _SYNONYMS = {
     COUNTS: ("counts", "count", "output", "gyro", "n", "f", "lsb", "pulses", "rate", "fog"),
     TEMPERATURE: ("temperature", "temp", "t_c", "temperature_degc"),
     STATUS: ("status",),
+    TABLE_ANGLE: ("table_deg", "table", "table_angle", "table_position", "encoder", "encoder_deg"),
     COUNTER: ("counter", "frame", "frame_number", "seq", "sequence", "index", "sample"),
 }
 _AXIS = re.compile(

@@ -375,6 +375,25 @@ class Recording:
         """Whether nothing is missing from its begin to its end."""
         return not self.gaps
 
+    def part(self, first: int, end: int) -> Recording:
+        """The outputs from one to before another, with the gaps between them; times begin at 0."""
+        rows, zero = slice(first, end), float(self.times[first])
+        gaps = tuple(
+            replace(gap, after=gap.after - first, start_s=gap.start_s - zero)
+            for gap in self.gaps
+            if first <= gap.after < end - 1
+        )
+        return replace(
+            self,
+            times=self.times[rows] - zero,
+            counts=self.counts[rows],
+            temperature=None if self.temperature is None else self.temperature[rows],
+            status=None if self.status is None else self.status[rows],
+            extra={name: values[rows] for name, values in self.extra.items()},
+            gaps=gaps,
+            losses=Losses(good=self.times[rows].size, missing=sum(gap.missing for gap in gaps)),
+        )
+
 
 # --------------------
 # The gyro's clock beside the computer's: when frames came, and what interval they were sent at.
@@ -392,8 +411,7 @@ class Recording:
 NOT_WORTH_PPM = 200.0
 """Differences below this change no result; the stated rate, which belongs to the gyro, is kept."""
 
-WRONG = 0.1
-"""No oscillator is off by a tenth: then the description of the frames is wrong."""
+WRONG = 0.1  # no oscillator is off by a tenth: then the description of the frames is wrong
 
 HOST_CLOCK_U = 5e-5 / 3**0.5
 """Relative, of the computer's clock: its crystal within 50 ppm, corrected by a time server or not."""

@@ -194,8 +194,7 @@ class TcpGyroServer(GyroServer):
 
 
 _MOST_UNREAD = 4096  # bytes that no command is long enough for
-POLL = "poll"
-"""Name of the command that asks for a frame."""
+POLL = "poll"  # name of the command that asks for a frame
 
 
 def encode_frame(layout: FrameFormat, counter: int, values: Mapping[str, float]) -> bytes:

@@ -260,8 +260,7 @@ _RESTORE_ORDER = (
     *("REFA", "REFB", "REFC", "REFD", "MEASUREMENT", "HARDCOPY", "LOCK", "ACQUIRE"),
 )
 
-_IN_NO_SETUP = ("LOCK", "ACQUIRE")
-"""Groups of which a setup says nothing, or not whether an acquisition runs."""
+_IN_NO_SETUP = ("LOCK", "ACQUIRE")  # groups of which a setup says nothing, or not whether an acquisition runs
 
 _OF_RECORDS = (":CH", ":SELECT:CH", ":HORIZONTAL", ":TRIGGER", ":ACQUIRE:MODE", ":ACQUIRE:NUMAVG")
 _ROUNDS = 3  # a setting may move another one that was right before

@@ -207,8 +207,7 @@ class Knobs:
 # Programmer manual 071-1075-04, pp. 2-53, 2-186 to 2-198
 
 
-MEMORIES = range(1, 11)
-"""Numbers of the setup memories inside the scope."""
+MEMORIES = range(1, 11)  # numbers of the setup memories inside the scope
 
 FACTORY = "FACTORY"
 
@@ -268,8 +267,7 @@ MEASUREMENTS = (
 )
 """Names of the measurements of this family."""
 
-NO_VALUE = 9.9e37
-"""Stands for a value that could not be measured."""
+NO_VALUE = 9.9e37  # stands for a value that could not be measured
 
 _CURSOR_PRECISION = 0.02  # of the largest position; cursors stand on pixels
 

@@ -185,8 +185,7 @@ def check_length(points: int) -> None:
 # the values themselves
 
 
-_MARGIN = 100
-"""Codes to either side of the middle of a record of eight bits."""
+_MARGIN = 100  # codes to either side of the middle of a record of eight bits
 
 
 def heading_row(rows: list[list[str]]) -> int | None:

@@ -116,8 +116,7 @@ def _named(settings: Mapping[str, Any]) -> Iterator[str]:
 
 
 _SOON_DAYS = 30
-_RECORD_BYTES = 20_000
-"""Of a record with its conditions in the store, at most."""
+_RECORD_BYTES = 20_000  # of a record with its conditions in the store, at most
 
 _SPARE_BYTES = 200 * 2**20
 _RECORDS_OF_A_STEP = 1000

@@ -324,8 +324,7 @@ def _bench_errors() -> tuple[type[Exception], ...]:
     return InstrumentError, NoUsableSignal
 
 
-_BENCH = _bench_errors()
-"""What a bench does that may be over in a moment."""
+_BENCH = _bench_errors()  # what a bench does that may be over in a moment
 
 
 def _evaluated(begun: StepOutcome, taken: Taken, plan: CampaignPlan, known: dict[str, Evaluated]) -> StepOutcome:

@@ -36,8 +36,7 @@ from station.settings import (
     shipped_settings,
 )
 
-_OURS = ("limits", "output")
-"""Sections of a measurement's settings that the campaign has in its own way."""
+_OURS = ("limits", "output")  # sections of a measurement's settings that the campaign has in its own way
 
 _END_OF_INTERVAL = re.compile(r"_(u|u95|low_95|high_95)(_|$)")
 """In the name of a number that has no uncertainty of its own."""

@@ -198,8 +198,7 @@ def _print_lines(lines: Iterable[str]) -> None:
         console.print(Text(visible(line)), soft_wrap=not console.is_terminal)
 
 
-_WIDE = 140
-"""Columns from which on the limits are shown as a table."""
+_WIDE = 140  # columns from which on the limits are shown as a table
 
 
 # --------------------

@@ -80,8 +80,7 @@ def _evaluated(path: Path) -> Evaluated | None:
 
 
 NAME, VERSION = "gyrolock test record", 1
-SCHEMA_FILE = Path(__file__).with_name("test-record-1.schema.json")
-"""JSON Schema of this version."""
+SCHEMA_FILE = Path(__file__).with_name("test-record-1.schema.json")  # JSON Schema of this version
 
 
 def record_document(outcome: CampaignOutcome, evaluated: Mapping[str, Evaluated]) -> dict[str, Any]:

@@ -236,8 +236,7 @@ _WRITTEN_ENDINGS = {
     ".csv": CsvWriter,
 }
 ENDINGS = tuple(_WRITTEN_ENDINGS)
-RECORDS_OF_PART = 40_000
-"""100 MB of codes: what a worker of a cluster takes at once."""
+RECORDS_OF_PART = 40_000  # 100 MB of codes: what a worker of a cluster takes at once
 _USUAL_WIDTH = 2500
 
 

@@ -82,11 +82,8 @@ VERSION = 2
 SCHEMA = {"name": "gyrolock records", "version": VERSION}
 """Files of the first version, in which outputs of a fibre gyro are packed, are read too."""
 
-AT_ONCE = 2000
-"""Rows that are written and read together: 5 MB of codes."""
-
-_BYTES_AT_ONCE = 20_000_000
-"""Of packed output, which rows may hold much of."""
+AT_ONCE = 2000  # rows that are written and read together: 5 MB of codes
+_BYTES_AT_ONCE = 20_000_000  # of packed output, which rows may hold much of
 
 TEXT = ("source", "key", "taken_at", "purpose", "channel", "axis", "header", "conditions", "sha256", "source_json")
 WHOLE = ("number", "samples", "bytes_per_sample")

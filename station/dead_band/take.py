@@ -335,8 +335,7 @@ def fastest_table_rate(settings: DeadBandSettings) -> float:
 # What one record of the sweep shows as soon as it is there, a beat or none: for those who watch
 
 
-_BEAT = 0.25
-"""Of the largest swing so far: less than this is no beat, but noise or the edge of one."""
+_BEAT = 0.25  # of the largest swing so far: less than this is no beat, but noise or the edge of one
 
 
 def watch(settings: DeadBandSettings) -> See:

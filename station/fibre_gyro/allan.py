@@ -295,8 +295,7 @@ def _to_watch(found: AllanEvaluation) -> list[str]:
 _STEPS_OF_NOISE = 0.6
 """Smallest step of an output over its scatter, inverted: with less than that rounding is no noise of its own."""
 
-_AT_REST_DPH = 150.0
-"""Ten earth rates: a gyro whose mean output is more than that was turning."""
+_AT_REST_DPH = 150.0  # ten earth rates: a gyro whose mean output is more than that was turning
 
 
 def _not_by_the_model(one: NoiseOf) -> list[str]:
@@ -409,8 +408,7 @@ MEASUREMENT = gyro_measurement(
 
 Floats = NDArray[np.float64]
 
-NOISE = "noise"
-"""Fact of a run, and choice of its evaluation."""
+NOISE = "noise"  # fact of a run, and choice of its evaluation
 _LARGEST = 64_000_000  # bytes
 _FAST = ("angle_random_walk", "quantization")
 _AXES = ("X", "Y", "Z")

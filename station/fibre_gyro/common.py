@@ -28,10 +28,8 @@ PPM = 1e6
 COUNTS_PER_DPS = "counts per deg/s"
 COLOURS = (ACCENT, SECOND, THIRD, INK, "#8a5a9e", "#b0902c", SOFT)
 """Of axes or runs side by side in one figure."""
-_HIDDEN = 6.5
-"""Standard deviations of the noise behind which a changed digit cannot be seen."""
-_NOTICEABLE = 0.1
-"""Of the standard uncertainty of a mean: what may move it by more is told."""
+_HIDDEN = 6.5  # standard deviations of the noise behind which a changed digit cannot be seen
+_NOTICEABLE = 0.1  # of the standard uncertainty of a mean: what may move it by more is told
 _UNKNOWN_CLOCK_U = 0.03 / math.sqrt(3)
 """Of the interval between two outputs where nobody compared it: clocks of real gyros are up to 3 % off."""
 _TRACE_RATE_DPS = 20.0
@@ -172,8 +170,7 @@ PLAUSIBLE = 0.05
 """Share by which a scale factor may differ from that by design before something else must be wrong."""
 
 
-UNLIKE = 0.6
-"""Share from which on a gyro that nobody described is another one than the shipped."""
+UNLIKE = 0.6  # share from which on a gyro that nobody described is another one than the shipped
 
 
 def far_from_design(scale_factor: float, settings: FogSettings) -> str:

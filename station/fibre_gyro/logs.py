@@ -9,14 +9,13 @@ import csv
 import io
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
 
 from instrument import FileFormatError, InstrumentError
-from instrument.fibre_gyro import GyroLog, LogChoices, Losses, Recording, read_log
+from instrument.fibre_gyro import GyroLog, LogChoices, Recording, read_log
 from instrument.text_files import open_plain_file, read_small_file
 from station.errors import StationError, UsageError, one_line
 from station.fibre_gyro.bench import open_fog_bench
@@ -39,8 +38,7 @@ from station.runs.store import NewRecord, SavedRun
 from station.settings import SettingsSection
 
 F = TypeVar("F")
-NamedSegment = tuple[str, dict[str, Any]]
-"""Name and conditions."""
+NamedSegment = tuple[str, dict[str, Any]]  # name and conditions
 Take = Callable[[FogSettings, Acquisition], None]
 TakeFiles = Callable[[FogSettings, Sequence[Path], Acquisition], None]
 
@@ -339,22 +337,7 @@ def _part(
             f"{place}: from {first + begin_s:g} s to {last + begin_s:g} s the log holds no output; its times go "
             f"from {begin_s:.9g} s to {end_s:.9g} s"
         )
-    part, zero = slice(kept[0], kept[-1] + 1), float(recording.times[kept[0]])
-    gaps = tuple(
-        replace(gap, after=gap.after - int(kept[0]), start_s=gap.start_s - zero)
-        for gap in recording.gaps
-        if kept[0] <= gap.after < kept[-1]
-    )
-    return replace(
-        recording,
-        times=recording.times[part] - zero,
-        counts=recording.counts[part],
-        temperature=None if recording.temperature is None else recording.temperature[part],
-        status=None if recording.status is None else recording.status[part],
-        extra={name: values[part] for name, values in recording.extra.items()},
-        gaps=gaps,
-        losses=Losses(good=int(kept.size), missing=sum(gap.missing for gap in gaps)),
-    )
+    return recording.part(int(kept[0]), int(kept[-1]) + 1)
 
 
 def table_conditions(row: LogRow) -> dict[str, Any]:

@@ -22,17 +22,22 @@ from analysis.fibre_gyro import (
     horizontal_earth_rate_dps,
     mean_at_rest,
     mean_over_turns,
+    turn_by_encoder,
     whole_turns_in,
 )
-from instrument.fibre_gyro import Gap, HostClock, Losses, Recording
+from instrument.fibre_gyro import TABLE_ANGLE, Gap, HostClock, Losses, Recording
 from station.errors import RunError
 from station.fibre_gyro.settings import FogSettings
 from station.runs.acquisition import Acquisition
 from station.runs.progress import Progress
 from station.runs.store import NewRecord, RunWriter, SavedRecord, SavedRun
 
-MARGIN_S = 1.0
-"""So much longer than whole turns is a recording: they end within an output word."""
+BY_ENCODER = "by_encoder_s"
+"""Condition of a segment whose rate the table's encoder gave: seconds of the log beside its steady whole turns."""
+
+_OF_ENCODER_PPM = 5e4  # by which the rate of a list may be off where the encoder gives the rate
+
+MARGIN_S = 1.0  # so much longer than whole turns is a recording: they end within an output word
 
 
 @dataclass(frozen=True)
@@ -319,6 +324,8 @@ def checked(segment: Segment) -> Recording:
     recording = segment.recording
     if not segment.intact:
         raise ValueError("what is saved is not what was once saved (its checksum is wrong)")
+    if segment.fault:
+        raise ValueError(segment.fault)
     if recording.counts.size < 2 or not np.all(np.isfinite(recording.counts)):
         raise ValueError("the recording holds no usable output")
     lost = sum(gap.missing for gap in recording.gaps)
@@ -353,7 +360,12 @@ def check_table_rate(conditions: dict[str, Any], tolerance_ppm: float) -> None:
     wanted = float(conditions["rate_dps"])
     reached = float(conditions.get("table_rate_dps", wanted))
     off_ppm = 1e6 * (reached / wanted - 1)
-    if abs(off_ppm) > tolerance_ppm:
+    if BY_ENCODER in conditions:
+        if abs(off_ppm) > _OF_ENCODER_PPM:
+            raise ValueError(
+                f"by its encoder the table turned at {reached:+.6g} deg/s: is {wanted:+.6g} the rate of this log?"
+            )
+    elif abs(off_ppm) > tolerance_ppm:
         raise ValueError(
             f"the table turned at {reached:+.6g} deg/s instead of {wanted:+.6g}, {off_ppm:+.0f} ppm off "
             f"(table.rate_tolerance_ppm = {tolerance_ppm:g})"
@@ -377,6 +389,7 @@ class Segment:
     recording: Recording  # empty where it is not intact
     intact: bool  # whether it still is what was once saved
     taken_at: str = ""  # when it was saved, UTC, ISO 8601
+    fault: str = ""  # why it cannot be used
 
 
 def segments_of(run: SavedRun, purpose: str) -> tuple[Segment, ...]:
@@ -412,7 +425,25 @@ def _segment(record: SavedRecord, run: SavedRun) -> Segment:
             recording = _recording_from(json.loads(record.header), record.payload)
         except (zlib.error, ValueError, KeyError, TypeError) as error:
             raise RunError(f"{run.path}: {record.key}: is damaged and cannot be read ({error})") from None
-    return Segment(record.key, record.conditions, recording, record.intact, record.taken_at)
+    segment = Segment(record.key, record.conditions, recording, record.intact, record.taken_at)
+    if record.conditions.get("rate_dps") and TABLE_ANGLE in recording.extra:
+        return _by_encoder(segment)
+    return segment
+
+
+def _by_encoder(segment: Segment) -> Segment:
+    """Whole turns at a steady rate, and that rate, where a column holds the angle of the table."""
+    recording, conditions = segment.recording, dict(segment.conditions)
+    try:
+        turn = turn_by_encoder(recording.times, recording.extra[TABLE_ANGLE], float(conditions["rate_dps"]))
+    except ValueError as error:
+        return replace(segment, fault=str(error))
+    part = recording.part(turn.first, turn.end)
+    conditions.pop("window_s", None)  # which made whole turns of a rate that was believed
+    conditions |= {"table_rate_dps": turn.rate_dps, BY_ENCODER: recording.duration_s - part.duration_s}
+    if "begin_s" in conditions:
+        conditions["begin_s"] += float(recording.times[turn.first] - recording.times[0])
+    return replace(segment, conditions=conditions, recording=part)
 
 
 def _columns_of(recording: Recording) -> dict[str, NDArray[np.float64]]:

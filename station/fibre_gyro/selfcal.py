@@ -608,11 +608,8 @@ def _second_path_sentences(found: SelfcalEvaluation, *, gated: bool) -> list[str
 _FINDING = 4.0
 """Standard uncertainties that K_self of the shared path may differ from the numbers before the test has failed."""
 
-_OFF_STEP = 6.0
-"""The same for one step among the others: there are many."""
-
-_IMPLAUSIBLE = 5e4
-"""ppm by which no second path differs."""
+_OFF_STEP = 6.0  # the same for one step among the others: there are many
+_IMPLAUSIBLE = 5e4  # ppm by which no second path differs
 
 
 def _finding(found: SelfcalEvaluation, *, shared: bool) -> str:

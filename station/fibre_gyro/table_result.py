@@ -38,6 +38,7 @@ from station.errors import NoUsableSignal
 from station.fibre_gyro.allan import NoiseModel, noise_of
 from station.fibre_gyro.common import COUNTS_PER_DPS, PPM, angle_clock_u, far_from_design, reasons_of
 from station.fibre_gyro.segments import (
+    BY_ENCODER,
     Segment,
     begins_of,
     check_table_rate,
@@ -94,6 +95,9 @@ class TableEvaluation:
     left_out: tuple[Excluded, ...]
     # of all gyros, where the segments hold the output of more than the one along the table's axis
     matrix: ThreeAxes | None = None
+    beside_s: tuple[
+        float, ...
+    ] = ()  # of each log whose rate the table's encoder gave, what lay beside whole turns
 
     def of(self, axis: str) -> AxisResult | None:
         """Result of one axis, ``None`` if there is none."""
@@ -129,7 +133,8 @@ def find_axes(run: SavedRun, settings: FogSettings, choices: Mapping[str, Any] |
     used = {key: windows[key][0] for result in results for key in result.keys}
     models = {axis: noise_of(run, choices or {}, axis) for axis in _OUTPUTS.values()}
     matrix = _matrix(used, settings, models, left_out)
-    return TableEvaluation(tuple(results), tuple(left_out), matrix)
+    beside = [one.conditions[BY_ENCODER] for one in segments if BY_ENCODER in one.conditions]
+    return TableEvaluation(tuple(results), tuple(left_out), matrix, tuple(beside))
 
 
 def _matrix(
@@ -406,7 +411,7 @@ def result(found: TableEvaluation, run: SavedRun, settings: FogSettings) -> Resu
     lines = (
         f"{COUNTS_PER_DPS}; by design {settings.nominal_scale_factor:.6f}.",
         f"From {sum(len(one.keys) for one in found.axes)} runs over whole turns, by least squares.",
-        *(() if settings.table.rate_u_ppm is not None else (IN_UNITS_OF_THE_TABLE,)),
+        *of_rates(found, settings),
     )
     watched = tuple(to_watch(found, settings))
     return Result(
@@ -560,15 +565,24 @@ def to_watch(found: TableEvaluation, settings: FogSettings) -> list[str]:
     return said
 
 
-IN_UNITS_OF_THE_TABLE = (
-    "In the table's own deg/s: what its rate is off by is in K and not in u (table.rate_u_ppm, not stated)."
-)
+def of_rates(found: TableEvaluation, settings: FogSettings) -> Iterator[str]:
+    """Say where the rates of the table are from, and what K then holds that u does not; sentences."""
+    if found.beside_s:
+        longest = max(found.beside_s)
+        yield (
+            f"Rates of {len(found.beside_s)} logs by the table's encoder, over whole turns at a steady rate; "
+            f"up to {longest:.4g} s beside them are left out."
+        )
+    if settings.table.rate_u_ppm is not None:
+        return
+    frame = "" if found.beside_s else "In the table's own deg/s: "
+    cause = "what the clock of the logs" if found.beside_s else "what its rate"
+    said = f"{frame}{cause} is off by is in K and not in u (table.rate_u_ppm, not stated)."
+    yield said[0].upper() + said[1:]
 
-NO_LINE_PPM = 5e3
-"""Scatter of the runs that no gyro has."""
 
-OFF_THE_LINE = 5.0
-"""Times by which a run must lie further off the line than others do to be named."""
+NO_LINE_PPM = 5e3  # scatter of the runs that no gyro has
+OFF_THE_LINE = 5.0  # times by which a run must lie further off the line than others do to be named
 
 
 def _to_watch_of(one: AxisResult, settings: FogSettings) -> list[str]:
@@ -708,7 +722,7 @@ def _freedom(one: AxisResult) -> str:
 
 def _table_rate(settings: FogSettings, part: float) -> Contribution:
     stated = settings.table.rate_u_ppm
-    note = "table.rate_u_ppm: K is in units of the table's own deg/s" if stated is None else "table.rate_u_ppm"
+    note = "table.rate_u_ppm: what the rate is off by is in K" if stated is None else "table.rate_u_ppm"
     return Contribution("table rate", "rate of the table, common to all runs", part, stated is not None, note)
 
 

@@ -82,8 +82,7 @@ _own = WitnessSettings.of
 _SETTING = "scope_setting"
 
 
-_SHAPE = ScreenShape(periods_min=80.0)
-"""At least so many steps in a record, if each has at least so many samples."""
+_SHAPE = ScreenShape(periods_min=80.0)  # at least so many steps in a record, if each has at least so many samples
 
 
 def is_simulated(settings: FogSettings) -> bool:
@@ -659,8 +658,7 @@ def facts(found: WitnessEvaluation, run: SavedRun, settings: FogSettings) -> lis
 # What one record of the staircase says as soon as it is there, and all so far: for those who watch
 
 
-_RESETS = 3.0
-"""Falls of the staircase that are shown."""
+_RESETS = 3.0  # falls of the staircase that are shown
 
 
 def watch(settings: FogSettings) -> See:

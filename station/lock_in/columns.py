@@ -21,14 +21,12 @@ from station.lock_in.estimate import Gathered, give_back_room, together
 from station.ring_laser.records import saved_waveform
 from station.sources.batches import Source
 
-LONG = 20_000
-"""Records from which on their estimates lie on the disk: some 250 bytes each."""
+LONG = 20_000  # records from which on their estimates lie on the disk: some 250 bytes each
 
 AT_ONCE = 5000
 """Records whose estimates go to the disk together: writing them run by run takes longer than making them one."""
 
-FOLDED = 256
-"""Pieces that are made one: ten thousand of them take memory of their own."""
+FOLDED = 256  # pieces that are made one: ten thousand of them take memory of their own
 
 _TRUTH = "truth "
 
@@ -109,8 +107,7 @@ class _TruthOnDisk(Mapping[str, NDArray[np.float64]]):
 # Estimates of a long run on the disk, a file for each column: one is read when it is asked for, and not kept
 
 
-_AT_ONCE = 1 << 14
-"""Rows that are read together where not all of them are to be in memory."""
+_AT_ONCE = 1 << 14  # rows that are read together where not all of them are to be in memory
 
 
 class ColumnFiles:

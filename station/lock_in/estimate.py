@@ -370,8 +370,7 @@ def _behind_each_other(parts: Sequence[LockInEstimate]) -> LockInEstimate:
 # A batch of saved records to estimates, one row a record: the same numbers whatever the batch
 
 
-_IN_CACHE = 16
-"""Records of 2500 samples that are 0.3 MB as volts."""
+_IN_CACHE = 16  # records of 2500 samples that are 0.3 MB as volts
 
 # name of the column: field of the estimate, and what of it
 COLUMNS: Mapping[str, tuple[str, Any]] = {

@@ -41,8 +41,7 @@ from station.sources.batches import Source
 from station.sources.run import source_of
 from station.sources.workers import Workers
 
-_LOOKED_AT = 200
-"""Records that are read together where only some are looked at."""
+_LOOKED_AT = 200  # records that are read together where only some are looked at
 
 
 def evaluate_records(

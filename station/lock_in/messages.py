@@ -138,8 +138,7 @@ def no_result_words(evaluation: LockInEvaluation) -> str:
 # Fits over several rates in plain sentences: what the data tell, and what they cannot
 
 
-SEEN = 3.3
-"""Standard uncertainties from zero beyond which something is called seen."""
+SEEN = 3.3  # standard uncertainties from zero beyond which something is called seen
 
 LEAST_DRIFT, LEAST_TURN = 0.001, 0.01
 """Drift of the lock-in rate (relative) and change of the phase (rad) below which nobody needs to hear of them."""

@@ -134,8 +134,7 @@ QUANTITIES = (
     QuantityGroup(QUADRATURES, "quadratures"),
 )
 
-_AT_ONCE = 2000
-"""Records whose documents are made together."""
+_AT_ONCE = 2000  # records whose documents are made together
 
 
 def result_document(found: LockInEvaluation) -> dict[str, Any]:

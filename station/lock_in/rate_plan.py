@@ -23,14 +23,9 @@ FAR_OFF = 1.4
 
 MOST_CHANGES = 4
 
-LIKELY_FACTOR = 2.0
-"""By which the lock-in rate may differ from the expected one."""
-
-_SAME = 0.2
-"""Rates that differ by less tell nothing new."""
-
-_WITHIN = 0.95
-"""Share of the table's range that is made use of: rates are rounded to two digits."""
+LIKELY_FACTOR = 2.0  # by which the lock-in rate may differ from the expected one
+_SAME = 0.2  # rates that differ by less tell nothing new
+_WITHIN = 0.95  # share of the table's range that is made use of: rates are rounded to two digits
 
 _CHANNEL_OVER_BEAT = 5.0
 """No rate is chosen at which the beat comes closer to the bandwidth of the channel, where that is known."""

@@ -490,8 +490,7 @@ def _rate_axis(axes: Axes, rates: list[float] | Array) -> None:
 
 
 _LINES_SHOWN = 12
-_SMALLEST_SHOWN = 1e-4
-"""Contributions below this share of the combined uncertainty are too small to be drawn."""
+_SMALLEST_SHOWN = 1e-4  # contributions below this share of the combined uncertainty are too small to be drawn
 
 
 def budget_svg(budget: Budget, name: str = "budget") -> str:

@@ -340,8 +340,7 @@ BUDGET_COLUMNS = (
     "share",
     "d.o.f.",
 )
-_SHORT = (0, 2, 4, 5, 6)
-"""Columns that a terminal has room for."""
+_SHORT = (0, 2, 4, 5, 6)  # columns that a terminal has room for
 
 
 def budget_document(budget: Budget) -> dict[str, Any]:

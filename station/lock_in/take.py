@@ -36,8 +36,7 @@ from station.runs.progress import Progress
 from station.runs.store import RunWriter, SavedRecord
 from station.scope.autoset import KnobPositions, ScreenShape, find_beat, fit_channel
 
-_EAST = 90.0
-"""Azimuth at which the earth rate on the axis has its vertical part only."""
+_EAST = 90.0  # azimuth at which the earth rate on the axis has its vertical part only
 
 _WHY_FAST = "This fast run finds the angle between gyro axis and table axis; then the other sense follows."
 _WHY_OTHER_SENSE = "The other sense takes the earth's rotation out; then the slow rates follow."

@@ -126,11 +126,8 @@ def _packed_rows(kind: type[TableFile], pieces: Sequence[Piece]) -> tuple[Any, l
 
 R = TypeVar("R")
 
-TOGETHER = 8_000_000
-"""Bytes of small sources that make one piece of work: some 2000 records."""
-
-LARGE = 3 * TOGETHER
-"""Bytes from which on a source is cut into pieces."""
+TOGETHER = 8_000_000  # bytes of small sources that make one piece of work: some 2000 records
+LARGE = 3 * TOGETHER  # bytes from which on a source is cut into pieces
 
 _MEGABYTE = 1_000_000
 _NOTHING: Mapping[str, str] = {}

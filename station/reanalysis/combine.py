@@ -52,8 +52,7 @@ from station.sources.batches import ExcludedRecord, Source, check_over_time
 from station.sources.find import open_source
 from station.sources.workers import ThisProcess, Workers
 
-ONE_RATE = 0.02
-"""Beat frequencies of records at one rate differ by less than this share."""
+ONE_RATE = 0.02  # beat frequencies of records at one rate differ by less than this share
 
 FILE_COLUMN, RATE_COLUMN, U_COLUMN = "file", INPUT_RATE.key(), "input_rate_u_dps"
 
@@ -334,8 +333,7 @@ def said_of(left_out: Sequence[ExcludedRecord], most: int = 20) -> list[str]:
 
 _HARMONICS = 5
 
-SIDE_FILE = "gyrolock.toml"
-"""Settings beside the files of a memory card."""
+SIDE_FILE = "gyrolock.toml"  # settings beside the files of a memory card
 
 
 @dataclass(frozen=True)

@@ -78,8 +78,7 @@ QUANTITIES = {
     "ratio": ("ratio_u", "", "r = A2/A1"),
 }
 _TEXTS = ("source", "source_sha256", "analysis", "unit")
-_SURE = 3.0
-"""Standard uncertainties of the difference beyond which two means differ."""
+_SURE = 3.0  # standard uncertainties of the difference beyond which two means differ
 
 
 @dataclass(frozen=True)

@@ -33,8 +33,7 @@ from station.results.numbers import LOCK_IN_RATE, LOCK_IN_RATE_NOISE_U, SCALE_FA
 from station.settings import saved_settings
 from station.sources.batches import ExcludedRecord
 
-Key = tuple[str, str]
-"""Source and analysis of a row."""
+Key = tuple[str, str]  # source and analysis of a row
 
 
 class TableFile(ABC):
@@ -86,8 +85,7 @@ class TableFile(ABC):
 # The columns of a results table: one row a record, units in the names
 
 
-NAME, VERSION = "gyrolock results", 1
-"""Of the layout of a results table; apart from the version of the package."""
+NAME, VERSION = "gyrolock results", 1  # of the layout of a results table; apart from the version of the package
 
 TEXTS = (
     *("source", "source_sha256", "analysis", "key", "taken_at", "unit", "gyro", "operator", "channel"),
@@ -118,8 +116,7 @@ _PAIRED = (
 
 Texts = str | list[str | None] | None
 Values = Texts | int | float | NDArray[Any]
-Column = Sequence[Any] | NDArray[Any]
-"""One value for each row; None, or nan of a number: not known."""
+Column = Sequence[Any] | NDArray[Any]  # one value for each row; None, or nan of a number: not known
 
 
 @dataclass(frozen=True)
@@ -464,8 +461,7 @@ def _csv_value(name: str, text: str) -> Any:
 # A results table as an SQLite database
 
 
-APPLICATION_ID = 0x47_59_4C_52
-"""'GYLR': tells a results table from a run."""
+APPLICATION_ID = 0x47_59_4C_52  # 'GYLR': tells a results table from a run
 
 
 class Sqlite(TableFile):

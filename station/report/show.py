@@ -259,8 +259,7 @@ def print_result(evaluated: Shown) -> None:
     print_values(result, evaluated.tested, [("taken", ", ".join(filter(None, about)))])
 
 
-_MOST_ROWS, _MOST_LIMITS = 4, 3
-"""Rows of a table, and limits, that a short page has room for."""
+_MOST_ROWS, _MOST_LIMITS = 4, 3  # rows of a table, and limits, that a short page has room for
 
 
 def print_values(result: Result, tested: Sequence[LimitOutcome], about: Rows = ()) -> None:

@@ -38,8 +38,7 @@ UNITS = {
 }
 """Unit at the end of a key, and as a person reads it."""
 
-_COVERAGE = 2.0
-"""Half a 95 % interval in standard uncertainties where a result gives no interval (GUM 6.3.3)."""
+_COVERAGE = 2.0  # half a 95 % interval in standard uncertainties where a result gives no interval (GUM 6.3.3)
 
 Get = str | Callable[[Any], Any]
 """Where an evaluation holds something: the way of its attribute, ``"fit.slope"``, or a function."""
@@ -230,8 +229,7 @@ class QuantityGroup:
                     yield quantity.value_in(holder, of)
 
 
-Quantities = Sequence[QuantityGroup]
-"""All numbers of a measurement."""
+Quantities = Sequence[QuantityGroup]  # all numbers of a measurement
 
 
 # --------------------

@@ -19,8 +19,7 @@ from station.results.quantity import Quantities, Quantity, Value, decimals_of, l
 # What a report or a page on the terminal is put together from
 
 
-Rows = Sequence[tuple[str, str]]
-"""Names and values."""
+Rows = Sequence[tuple[str, str]]  # names and values
 
 
 @dataclass(frozen=True)

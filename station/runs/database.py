@@ -30,8 +30,7 @@ if TYPE_CHECKING:
     from instrument import Tally
 
 _LITTLE = 64 * 1024  # bytes free on a disk that is full: SQLite writes a page of 16 KiB and its journal
-SUMS = "sums"
-"""Name of the fact that holds the SHA-256 of every other one: records have theirs in their rows."""
+SUMS = "sums"  # name of the fact that holds the SHA-256 of every other one: records have theirs in their rows
 
 
 def utc_now() -> str:
@@ -314,8 +313,7 @@ _FIBRE_GYRO = 0x47_59_4C_46  # "GYLF"; runs of the fibre gyro, once
 
 COLUMNS = ("number", "key", "taken_at", "purpose", "header", "payload", "sha256", "conditions")
 
-NUMBERED = "typeof(number) = 'integer'"
-"""What every record has: one in a damaged file that has none is missing."""
+NUMBERED = "typeof(number) = 'integer'"  # what every record has: one in a damaged file that has none is missing
 
 
 @dataclass(frozen=True)

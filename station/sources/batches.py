@@ -202,8 +202,7 @@ def codes_of(payloads: Sequence[bytes], preamble: Preamble) -> NDArray[np.int8] 
 # Records one behind the other that share all but number, key, time and codes, as most of a run do
 
 
-MOST_RECORDS, MOST_BYTES = 1000, 4_000_000
-"""A stretch ends here: it is held in memory."""
+MOST_RECORDS, MOST_BYTES = 1000, 4_000_000  # a stretch ends here: it is held in memory
 
 
 @dataclass(slots=True)

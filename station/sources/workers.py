@@ -24,8 +24,7 @@ from station.files import keep_for_batches, version
 T = TypeVar("T")
 R = TypeVar("R")
 
-AHEAD = 2
-"""Pieces for each process that are begun before the first of them is asked for: what waits takes memory."""
+AHEAD = 2  # pieces for each process that are begun before the first of them is asked for: what waits takes memory
 
 
 class Workers(Protocol):
@@ -102,8 +101,7 @@ def _ignore_interrupts() -> None:
 
 LOCAL = "local"
 _PATIENCE_S = 10.0  # for a scheduler to answer, and for its first worker
-_AHEAD = 3
-"""Pieces for each worker that are begun before the first of them is asked for."""
+_AHEAD = 3  # pieces for each worker that are begun before the first of them is asked for
 _SAME = ("gyrolock", "numpy", "scipy")
 """What must be of one version everywhere: another one may give another last bit."""
 

@@ -23,8 +23,7 @@ from numpy.typing import ArrayLike
 
 from analysis.arrays import Bools, Floats, Ints
 
-LIGHT_SPEED = 299_792_458.0
-"""m/s, exact by definition."""
+LIGHT_SPEED = 299_792_458.0  # m/s, exact by definition
 
 
 @dataclass(frozen=True)

@@ -208,8 +208,7 @@ def convert(volts: Floats, channel: PanelChannel, noise: Floats | float = 0.0) -
 # attributes of `SmoothAndNoise` is looked at on a coarse grid, from which its values in between follow
 
 
-SIX = 6
-"""Values that a polynomial goes through."""
+SIX = 6  # values that a polynomial goes through
 
 _TO_POLYNOMIAL = np.linalg.inv(np.vander(np.arange(-2.0, 4.0), increasing=True)).T  # six values -> coefficients
 _WORTH = 2  # times fewer points on the grid than wanted, from which on it is taken

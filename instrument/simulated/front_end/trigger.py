@@ -23,8 +23,7 @@ from instrument.simulated.panel.panel import TriggerSettings
 
 
 SHORTEST_STRETCH = 1e-9  # s
-BEND = 0.25
-"""Of the largest second difference: how far a signal may leave the straight line, twice over."""
+BEND = 0.25  # of the largest second difference: how far a signal may leave the straight line, twice over
 _FEWEST_CELLS = 5  # of a stretch
 
 

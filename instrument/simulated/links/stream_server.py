@@ -14,14 +14,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Self
 
-CHUNK = 65_536
-"""Bytes that are read at once."""
-
-LOOK_UP = 0.2
-"""Seconds after which an idle server looks whether its instrument is still on."""
-
-FULL = 1 << 20
-"""Bytes of unread answers at which no more questions are taken."""
+CHUNK = 65_536  # bytes that are read at once
+LOOK_UP = 0.2  # seconds after which an idle server looks whether its instrument is still on
+FULL = 1 << 20  # bytes of unread answers at which no more questions are taken
 
 _CLIENTS = 16  # connections at once on one server
 _IDLE_S = 60.0  # of silence, after which a connection gives way to a new one

@@ -466,7 +466,6 @@ def parse_template(values: Mapping[str, Any], where: str) -> ControllerTemplate:
 _PARITY = {"none": constants.Parity.none, "even": constants.Parity.even, "odd": constants.Parity.odd}
 _STOP = {1: constants.StopBits.one, 2: constants.StopBits.two}
 _LATE_MS = 30  # longest silence between two bytes of an answer that comes too late
-
 _LONGEST = 4096  # bytes of an answer
 
 

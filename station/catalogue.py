@@ -31,6 +31,7 @@ from station.results.result import TextTable
 from station.runs.annotations import Remarks, read_remarks, remarks_file
 from station.runs.database import COMPLETE, TAKEN, RunFacts, journal_of, read_facts, reading
 from station.runs.progress import Progress
+from station.sources.find import first_time
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -99,20 +100,11 @@ def _stamps(directory: Path) -> Iterator[tuple[str, str]]:
             if name.startswith("."):
                 continue
             if one.is_dir():
-                if not one.is_symlink() or _first_time(one.path, entered):
+                if not one.is_symlink() or first_time(one.path, entered):
                     waiting.append(one.path)
             elif name.endswith(".sqlite"):
                 with suppress(OSError):
                     yield os.path.relpath(one.path, root), _stamp(files, name, now)
-
-
-def _first_time(path: str, entered: set[str]) -> bool:
-    """Whether a link leads to where nobody has been: a link to a folder above would never end."""
-    target = os.path.realpath(path)
-    if any(target == one or one.startswith(f"{target}{os.sep}") for one in entered):
-        return False
-    entered.add(target)
-    return True
 
 
 def _stamp(files: Mapping[str, os.DirEntry[str]], name: str, now: int) -> str:

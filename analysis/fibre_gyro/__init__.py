@@ -77,6 +77,7 @@ from analysis.fibre_gyro.threshold import (
     plan_ladder,
     refined,
     responses,
+    slopes_beyond,
     small_rates,
 )
 from analysis.fibre_gyro.turn_on import Repeatability, TurnOn, repeatability, turn_on_transient
@@ -175,6 +176,7 @@ __all__ = [
     "scale_figures",
     "scale_linearity",
     "scaled_numbers",
+    "slopes_beyond",
     "small_rates",
     "static_level",
     "steps_beyond_dac",

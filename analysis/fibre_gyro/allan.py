@@ -54,7 +54,6 @@ _PARTS, _FEWEST_IN_PART = 8, 24
 _JUMP = 6.0  # standard deviations of one whitened increment of the blocks, that none of noise has
 _LOUDER = 0.25  # of the power, by which parts that differ matter
 _INDEPENDENT = 2 / 3  # of increments of white noise
-
 Model = frozenset[str]  # terms, the ramp among them
 
 

@@ -24,7 +24,6 @@ from analysis.waveform.converter import mean_rounding
 FEW_RESETS = 3
 FEW_SAMPLES_PER_STEP = 6
 MISFIT = 4.0  # variance of the levels, over that of noise and rounding, beyond which they are no even staircase
-
 _WHITE = 0.5  # noise in levels before the converter from which on rounding is white to two per cent
 _EDGE_TO_POLE = 2.2  # width of the edge of a single pole from 10 % to 90 %, over its time constant
 _CLEAR = 20.0  # times the noise: jumps that show which samples lie on an edge

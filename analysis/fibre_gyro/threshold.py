@@ -31,6 +31,7 @@ from analysis.fibre_gyro.injection import static_level
 from analysis.fibre_gyro.scatter import NORMAL_95
 
 THRESHOLD_PART, DEAD_PART = 0.5, 0.1
+_STRAIGHT, _SURE = 0.2, 4.0  # by which a slope may differ from K, and standard uncertainties beyond which it does
 _GRID = 2000
 _DRAWS = 300
 
@@ -260,6 +261,42 @@ def _width(grid: Floats, rising: Floats, falling: Floats, one: Edge, other: Edge
 def _undecided(found: Responses, part: float) -> tuple[float, ...]:
     near: Bools = np.abs(found.ratio - part) < NORMAL_95 * found.ratio_u
     return tuple(float(rate) for rate in found.input_dps[near])
+
+
+def slopes_beyond(found: Responses) -> list[tuple[float, float, float, float]]:
+    """Steps of the ladder beyond the threshold in which the output does not follow K.
+
+    A dead zone that does not lie about zero, or another scale factor there.
+
+    Returns
+    -------
+    list of tuple
+        Inputs at both ends, deg/s, slope over K and its standard uncertainty.
+
+    Examples
+    --------
+    Six tenths of K up to 0.1 deg/s:
+
+    >>> inputs = np.array([0.01, 0.02, 0.05, 0.1, 0.2])
+    >>> found = Responses(inputs, np.array([0.6, 0.6, 0.6, 0.6, 0.8]), np.full(5, 0.001), 0.0)
+    >>> [(low, high, round(slope, 2)) for low, high, slope, _ in slopes_beyond(found)]
+    [(0.02, 0.05, 0.6), (0.05, 0.1, 0.6)]
+    """
+    steps = []
+    for sense in (1, -1):
+        of_sense = sense * found.input_dps > 0
+        size, place = np.unique(np.abs(found.input_dps[of_sense]), return_inverse=True)
+        weight = np.bincount(place, found.ratio_u[of_sense] ** -2.0)
+        ratio = np.bincount(place, found.ratio[of_sense] * found.ratio_u[of_sense] ** -2.0) / weight
+        passing = np.flatnonzero(ratio >= THRESHOLD_PART)
+        # At the first rung that passes the output may still be on its way out of the dead zone.
+        for low in range(int(passing[0]) + 1 if passing.size else size.size, size.size - 1):
+            apart = size[low + 1] - size[low]
+            slope = (ratio[low + 1] * size[low + 1] - ratio[low] * size[low]) / apart
+            u = math.hypot(*(size[[low, low + 1]] * weight[[low, low + 1]] ** -0.5)) / apart
+            if abs(slope - 1) > max(_STRAIGHT, _SURE * u):
+                steps.append((sense * float(size[low]), sense * float(size[low + 1]), float(slope), u))
+    return steps
 
 
 def refined(found: Responses, count: int) -> Sequence[float]:

@@ -55,11 +55,8 @@ GPIB_BYTES_PER_SECOND = 20_000.0
 """A tenth of the rate named in 071-1064-00, appendix E: the slowest that a framed link should ever be."""
 
 LONGEST_PICTURE = 1_000_000  # bytes; a colour picture of 640 x 480 pixels fits
-
 _ADAPTER_BITS_PER_SECOND = 115_200  # of the slowest stream between computer and GPIB adapter
-
 _TEXT_BESIDE_BLOCKS = 1024  # bytes; four preambles and a margin
-
 _BITMAP_LENGTH_END = 6  # "BM" and four bytes with the length of the file
 
 

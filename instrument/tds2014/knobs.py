@@ -268,7 +268,6 @@ MEASUREMENTS = (
 """Names of the measurements of this family."""
 
 NO_VALUE = 9.9e37  # stands for a value that could not be measured
-
 _CURSOR_PRECISION = 0.02  # of the largest position; cursors stand on pixels
 
 

@@ -36,7 +36,6 @@ BY_ENCODER = "by_encoder_s"
 """Condition of a segment whose rate the table's encoder gave: seconds of the log beside its steady whole turns."""
 
 _OF_ENCODER_PPM = 5e4  # by which the rate of a list may be off where the encoder gives the rate
-
 MARGIN_S = 1.0  # so much longer than whole turns is a recording: they end within an output word
 
 

@@ -23,6 +23,7 @@ from analysis.fibre_gyro import (
     pooled_noise,
     refined,
     responses,
+    slopes_beyond,
     small_rates,
     vertical_earth_rate_dph,
 )
@@ -59,7 +60,6 @@ PURPOSE = "threshold"
 NOISE, LADDER, RESOLUTION = "noise", "ladder", "resolution"
 _SAME_INPUT = 1e-6  # deg/s
 _NOT_THE_DESIGN = 0.2
-_LINEAR = (0.8, 1.2)
 
 
 class ThresholdSettings(TestSettings):
@@ -388,6 +388,17 @@ def _to_watch_of(one: AxisThreshold, settings: FogSettings) -> list[str]:
             f"{one.axis}: at rest the input is {ladder.reference_dps:.4g} deg/s, the earth rate along the axis, "
             "and the gyro is taken to be linear there. Where the table turns against it, or lies to the east, "
             "nothing need be taken."
+        )
+    for low, high, slope, u in slopes_beyond(ladder.found):
+        said.append(
+            f"{one.axis}: from {low:+.3g} to {high:+.3g} deg/s the output changes by {with_uncertainty(slope, u)} "
+            "of what K gives: a dead zone that is not about zero, or another scale factor at small rates."
+        )
+    above, below = ladder.says.rising, ladder.says.falling
+    if above.low_95 > below.high_95 or below.low_95 > above.high_95:
+        said.append(
+            f"{one.axis}: the dead zone is not centred on zero: up to {in_words(above)} in the positive sense, "
+            f"{in_words(below)} in the negative one. A bias of the electronics moves it."
         )
     for name, edge in (("one half", ladder.says.threshold), ("a tenth", ladder.says.width)):
         if edge.undecided_dps:

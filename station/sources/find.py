@@ -63,7 +63,7 @@ def _below(folder: Path, entered: set[str]) -> Iterator[Path]:
             is_folder, found = False, True
         if found:
             yield path
-        elif is_folder and (not entry.is_symlink() or _first_time(entry.path, entered)):
+        elif is_folder and (not entry.is_symlink() or first_time(entry.path, entered)):
             yield from _below(path, entered)
 
 
@@ -71,7 +71,7 @@ def _may_be_source(file: Path) -> bool:
     return _is_waveform_file(file) or _is_run_file(file)
 
 
-def _first_time(path: str, entered: set[str]) -> bool:
+def first_time(path: str, entered: set[str]) -> bool:
     """Whether a link leads to where nobody has been: a link to a folder above would never end."""
     target = os.path.realpath(path)
     if any(target == one or one.startswith(f"{target}{os.sep}") for one in entered):

@@ -209,7 +209,6 @@ def convert(volts: Floats, channel: PanelChannel, noise: Floats | float = 0.0) -
 
 
 SIX = 6  # values that a polynomial goes through
-
 _TO_POLYNOMIAL = np.linalg.inv(np.vander(np.arange(-2.0, 4.0), increasing=True)).T  # six values -> coefficients
 _WORTH = 2  # times fewer points on the grid than wanted, from which on it is taken
 _FOLLOWS = 0.025  # of the interval: a pole so fast only delays

@@ -17,7 +17,6 @@ from typing import Self
 CHUNK = 65_536  # bytes that are read at once
 LOOK_UP = 0.2  # seconds after which an idle server looks whether its instrument is still on
 FULL = 1 << 20  # bytes of unread answers at which no more questions are taken
-
 _CLIENTS = 16  # connections at once on one server
 _IDLE_S = 60.0  # of silence, after which a connection gives way to a new one
 _UNTAKEN = 4 * CHUNK  # bytes of a client that have not been taken yet, at which it is not listened to

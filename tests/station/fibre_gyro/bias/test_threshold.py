@@ -1,8 +1,10 @@
 """Threshold, resolution and dead zone on the simulated bench, through logs, resumed and over a serial line."""
 
+import re
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from instrument import LinkError
@@ -11,11 +13,13 @@ from station.errors import NoUsableSignal, UsageError
 from station.fibre_gyro import bench as simulated_bench
 from station.fibre_gyro.bench import SimulatedFogBench
 from station.fibre_gyro.segments import PlannedSegment, segments_of
+from station.fibre_gyro.settings import load_fog_settings
 from station.measurements import measurement
 from station.report.show import render_report
 from station.runs.progress import Progress
 from station.runs.store import open_run
 from station.shell.finish import evaluate_run, resume_run, start_run
+from tests.station.fibre_gyro.test_logs_as_they_come import Logs
 
 QUIET = Progress(quiet=True)
 FEW: dict[str, Any] = {"per_decade": 1, "highest_dps": 0.1, "resolution_at_dps": 0.05}
@@ -154,3 +158,61 @@ def test_bad_lists_are_said(dead, fog_settings, tmp_path: Path) -> None:
     alone.write_text("file\nlog1.csv\n")
     with pytest.raises(UsageError, match="its header has no column rate_dps, which threshold needs"):
         start_run(kind, settings, QUIET, paths=[alone])
+
+
+RUNGS = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5)
+
+
+def small_rates_of(folder: Path, seen: Any, sign: int = 1) -> list[str]:
+    """What is said of a gyro that makes the output `seen(rate)` of a rate, on a table that lies to the east."""
+    logs, scale = Logs(folder, "file,rate_dps"), load_fog_settings().nominal_scale_factor
+    for number, size in enumerate(RUNGS):
+        if number % 3 == 0:
+            logs.add("0", scale * seen(0.0))
+        for rate in (sign * size, -sign * size):
+            logs.add(str(rate), scale * seen(rate))
+    logs.add("0", scale * seen(0.0))
+    flags: list[str] = logs.evaluate("threshold", threshold={"table_axis": "east"})["flags"]
+    return flags
+
+
+def zone(low: float, high: float, *, jumps: bool = False) -> Any:
+    """A gyro that stands still between two rates; beyond, its output goes on or jumps to K times the rate."""
+
+    def seen(rate: float) -> float:
+        if low <= rate <= high:
+            return 0.0 if low <= 0 <= high else low
+        if jumps:
+            return rate
+        return rate - (high if rate > high else low) + (0.0 if low <= 0 <= high else low)
+
+    return seen
+
+
+@pytest.mark.parametrize("seen", [zone(-0.003, 0.003), zone(-0.003, 0.003, jumps=True), lambda rate: rate])
+def test_a_dead_zone_about_zero_is_nothing_to_watch(tmp_path: Path, seen: Any) -> None:
+    said = small_rates_of(tmp_path, seen)
+    assert not [one for one in said if "of what K gives" in one or "not centred" in one]
+
+
+def test_the_way_out_of_a_dead_zone_may_be_bent(tmp_path: Path) -> None:
+    def seen(rate: float) -> float:
+        return float(np.sign(rate) * np.sqrt(max(rate**2 - 0.004**2, 0.0)))
+
+    assert not [one for one in small_rates_of(tmp_path, seen) if "of what K gives" in one]
+
+
+@pytest.mark.parametrize(
+    ("seen", "named"),
+    [
+        (zone(0.006, 0.024), r"from \+0.01 to \+0.02 deg/s the output changes by -?0.0"),
+        (zone(-0.024, -0.006), "from -0.01 to -0.02 deg/s the output changes by"),
+        (lambda rate: rate * (0.6 if abs(rate) < 0.03 else 1.0), r"from \+0.002 to .* changes by 0.(59|60)"),
+        (zone(-0.0015, 0.03), "not centred on zero: up to 0.0[23].* in the positive sense"),
+    ],
+    ids=["beyond zero", "below zero", "gain of 0.6", "to one side"],
+)
+@pytest.mark.parametrize("sign", [1, -1])
+def test_what_is_no_dead_zone_about_zero_is_named(tmp_path: Path, seen: Any, named: str, sign: int) -> None:
+    said = small_rates_of(tmp_path, seen, sign)
+    assert [one for one in said if re.search(named, one)], said

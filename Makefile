@@ -13,10 +13,14 @@ $(PYTHON) -c 'import sys; v = sys.version_info; sys.exit(0 if v >= (3, 11) else 
 $(PYTHON) -m venv $(VENV)
 endef
 
-.PHONY: measure test test-slow test-lowest explore golden lint docs site clean
+.PHONY: measure sample test test-slow test-lowest explore golden lint docs site clean
 
 measure: $(RUNS)
 	$(BIN)/gyrolock measure
+
+# Runs, a memory card and logs that the command lines of the guides read: sample/ring_laser and sample/fibre_gyro.
+sample: $(READY)
+	$(BIN)/python docs/sample.py
 
 # Four at once on two cores: many wait for an instrument. Who is done takes over what others still have before them.
 # In another order each time; `make test ORDER=...` goes through them in the same again.

@@ -71,7 +71,7 @@ def _lines(data: bytes) -> Structure:
     fields = [len(line.split(split)) for line in lines]
     usual = max(set(fields), key=fields.count)
     begins = lines[0][: _common(lines)]
-    share = _percent(fields.count(usual), len(fields))
+    share = f"{100 * fields.count(usual) / len(fields):.0f} %"
     said = [f"lines of text that end with {ending.decode()!r}"]
     if usual > 1:
         said.append(f"{usual} fields separated by {separator.decode()!r} in {share} of them")
@@ -79,10 +79,6 @@ def _lines(data: bytes) -> Structure:
         said.append(f"every line begins with {begins.decode('ascii', 'replace')!r}")
     length = int(np.median([len(line) + len(ending) for line in lines]))
     return Structure(text=True, length=length, remarks=tuple(said), example=lines[len(lines) // 2])
-
-
-def _percent(part: int, whole: int) -> str:
-    return f"{100 * part / whole:.0f} %"
 
 
 def _common(lines: list[bytes]) -> int:

@@ -398,7 +398,9 @@ def step_as_json(outcome: StepOutcome, directory: Path) -> dict[str, Any]:
         **values,
         "run": None if outcome.run is None else str(outcome.run.relative_to(directory)),
         "failure": None if outcome.failure is None else outcome.failure.as_json(),
-        "limits": [_limit_as_json(one) for one in outcome.limits],
+        "limits": [
+            {**vars(one), "limit": asdict(one.limit), "measured": one.measured.as_json()} for one in outcome.limits
+        ],
     }
 
 
@@ -434,10 +436,6 @@ def _document(run: Path | None) -> dict[str, Any]:
         return open_run(run).results or {}
     except RunError:
         return {}
-
-
-def _limit_as_json(one: LimitOutcome) -> dict[str, Any]:
-    return {**vars(one), "limit": asdict(one.limit), "measured": one.measured.as_json()}
 
 
 def _limit_from_json(one: Mapping[str, Any]) -> LimitOutcome:

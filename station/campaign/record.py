@@ -173,7 +173,9 @@ def _step(outcome: StepOutcome, directory: Path, evaluated: Evaluated | None) ->
         "limits": [limit_document(one) for one in outcome.limits],
         "result": result or None,
         "budget": result.get("budget"),
-        "records": [] if evaluated is None else [_row(row) for row in evaluated.rows()],
+        "records": []
+        if evaluated is None
+        else [{name: value for name, value in row.items() if name != "run"} for row in evaluated.rows()],
         "run": None if outcome.run is None else _run(outcome.run, directory, outcome.run_sha256, evaluated),
     }
 
@@ -204,11 +206,6 @@ def limit_document(one: LimitOutcome) -> dict[str, Any]:
             }
         )
     )
-
-
-def _row(row: Mapping[str, Any]) -> dict[str, Any]:
-    """A row of the table of records; the run's path stands in the step."""
-    return {name: value for name, value in row.items() if name != "run"}
 
 
 def _run(path: Path, directory: Path, sha256: str, evaluated: Evaluated | None) -> dict[str, Any]:

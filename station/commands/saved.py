@@ -269,7 +269,7 @@ def compare_command(first: str, second: str, config: Path | None, as_json: bool,
 
     A and B are results tables of `gyrolock analyze --to`, or runs, files and folders, which are then analysed.
     Where records are in both, they are compared one by one, in the uncertainties of their noise, which is all that
-    two methods can differ by. Else the results are, every input counted: those of runs, and of files at one rate.
+    two methods can differ by. Otherwise the results of runs and of files at one rate are, with all uncertainties.
     Results tables know the noise of records only, and are compared by their means. With --config the channel is
     the one that FILE states, and the scale factor of files is that of FILE.
     """
@@ -318,7 +318,7 @@ def compare_command(first: str, second: str, config: Path | None, as_json: bool,
 @click.option("--good", "mark", flag_value="good", help="Mark the run as good.")
 @click.option("--bad", "mark", flag_value="bad", help="Mark the run as bad.")
 @click.option("--unmark", "mark", flag_value="none", help="Take the mark away.")
-@click.option("--by", default="", metavar="NAME", help="Who says it.  [the user's name]")
+@click.option("--by", default="", metavar="NAME", help="Author of the remark.  [the user's name]")
 @unused_config_option
 @json_option
 def annotate_command(

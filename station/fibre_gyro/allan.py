@@ -436,7 +436,7 @@ def noise_facts(path: Path | None) -> dict[str, Any]:
     """Return a noise model as fact of the run that uses it; nothing without a path."""
     if path is None:
         return {}
-    records = _of_run(path) if path.exists() and _is_run(path) else _of_json(path)
+    records = _of_run(path) if path.exists() and (path.is_dir() or is_database(path)) else _of_json(path)
     gyros: dict[str, dict[str, float]] = {}
     for name, coefficients in records:
         first = name.split(" ")[0].upper()
@@ -452,10 +452,6 @@ def noise_of(run: SavedRun, choices: Mapping[str, Any], axis: str) -> NoiseModel
     gyros = known["gyros"]
     coefficients = gyros.get(axis.upper(), gyros.get(""))
     return None if coefficients is None else NoiseModel(dict(coefficients), known["source"])
-
-
-def _is_run(path: Path) -> bool:
-    return path.is_dir() or is_database(path)
 
 
 def _of_run(path: Path) -> list[tuple[str, dict[str, float]]]:

@@ -219,8 +219,10 @@ def _log_options(function: F) -> F:
             metavar="NAMES",
             help="Columns of logs in their order: time,counts or time,counts_x,,counts_z; empty: left out.",
         ),
-        click.option("--units", type=click.Choice(_UNITS), metavar="UNIT", help="Of logs: counts, deg/s, deg/h."),
-        click.option("--time-unit", type=click.Choice(["s", "ms", "us", "min", "h"]), help="Of logs."),
+        click.option(
+            "--units", type=click.Choice(_UNITS), metavar="UNIT", help="Output unit of logs: counts, deg/s, .."
+        ),
+        click.option("--time-unit", type=click.Choice(["s", "ms", "us", "min", "h"]), help="Time unit of logs."),
         click.option(
             "--output-rate",
             type=float,

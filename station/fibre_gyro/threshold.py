@@ -498,7 +498,8 @@ def plan_noise(settings: FogSettings) -> list[PlannedSegment]:
 def plan(settings: FogSettings, angle_random_walk: float) -> list[PlannedSegment]:
     """List the segments of the ladder and of the resolution."""
     ladder, base = ladder_for(settings, angle_random_walk), _own(settings).resolution_at_dps
-    senses = [(sense * float(rate), float(s)) for rate, s in _rungs(ladder) for sense in (1, -1)]
+    rungs = zip(ladder.rate_dps.tolist(), ladder.seconds.tolist(), strict=True)
+    senses = [(sense * rate, seconds) for rate, seconds in rungs for sense in (1, -1)]
     planned = _with_references("", LADDER, 0.0, senses, settings)
     if base:
         changes = [(change, seconds) for change, seconds in senses if abs(change) < base]
@@ -582,10 +583,6 @@ def _named(row: LogRow, settings: FogSettings) -> NamedSegment:
         **{name: value for name, value in table_conditions(row).items() if name != "window_s"},
     }
     return f"{axis}{'' if end_up > 0 else ' down'} {rate:+.10g}{' reference' if reference else ''}", conditions
-
-
-def _rungs(ladder: Ladder) -> list[tuple[float, float]]:
-    return list(zip(ladder.rate_dps.tolist(), ladder.seconds.tolist(), strict=True))
 
 
 def _too_noisy(ladder: Ladder, settings: FogSettings) -> dict[str, str]:

@@ -295,16 +295,11 @@ def about(source: Source) -> dict[str, str | None]:
 def pieces_of(source: Source, choices: Mapping[str, Any], *, whole: bool = False) -> list[list[Piece]]:
     """Cut a source into pieces of so many records that their estimates take about a tenth of a second."""
     first, last = source.span
-    opened_by, sha256 = _again(source), source.sha256 if whole else ""
+    opened_by, sha256 = source.path if isinstance(source, RunSource) else source, source.sha256 if whole else ""
     if last - first < AT_ONCE:
         return [[Piece(opened_by, None, choices, sha256=sha256)]]
     begins = range(first, last + 1, AT_ONCE)
     return [[Piece(opened_by, range(begin, begin + AT_ONCE), choices, sha256=sha256)] for begin in begins]
-
-
-def _again(source: Source) -> Path | Source:
-    """What another process opens a source by: a run is a file, one of a data set knows its rows."""
-    return source.path if isinstance(source, RunSource) else source
 
 
 def together(parts: Sequence[Gathered]) -> Gathered:

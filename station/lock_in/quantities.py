@@ -32,7 +32,12 @@ from station.results.numbers import (
 from station.results.quantity import Quantity, QuantityGroup, document, rows
 
 LOCK_IN_RATE = replace(
-    numbers.LOCK_IN_RATE, interval="interval_95", limit=True, headline=True, trend=True, doc="every input counted"
+    numbers.LOCK_IN_RATE,
+    interval="interval_95",
+    limit=True,
+    headline=True,
+    trend=True,
+    doc="all uncertainties included",
 )
 LOCK_IN_RATE_U = Quantity("lock_in_rate_u", "dps", limit=True)
 LOCK_IN_RATE_HIGH_95 = Quantity("lock_in_rate_high_95", "dps", lambda found: found.interval_95[1], limit=True)

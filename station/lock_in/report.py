@@ -287,7 +287,7 @@ def values_svg(evaluation: LockInEvaluation) -> str:
 
         axes = figure.add_subplot()
         axes.axhspan(
-            low, high, color=ACCENT, alpha=0.16, linewidth=0, label="combined, 95 % interval, every input counted"
+            low, high, color=ACCENT, alpha=0.16, linewidth=0, label="combined, 95 %, all uncertainties included"
         )
         axes.axhline(float(combined.lock_in_rate), color=ACCENT, linewidth=1.1)
         # thousands of records need no caps and thin bars

@@ -81,7 +81,7 @@ def result(found: LockInEvaluation, run: SavedRun | None = None, settings: Setti
         flags=tuple(found.flags),
         tables=tables,
         problem="" if found.usable else no_result_words(found),
-        truth=_truth(found),
+        truth=f"the truth is {found.truth[LOCK_IN_RATE.key()]:.6g} deg/s" if found.truth is not None else "",
         doubts=tuple(_doubts(found)),
         failures=tuple(_failures(found)),
     )
@@ -142,10 +142,6 @@ def _lines(found: LockInEvaluation) -> list[str]:
     ]
     missed = truth_is_missed(found)  # then it is said as what failed
     return lines if missed or found.truth is None else [*lines, truth_sentence(found)]
-
-
-def _truth(found: LockInEvaluation) -> str:
-    return f"the truth is {found.truth[LOCK_IN_RATE.key()]:.6g} deg/s" if found.truth is not None else ""
 
 
 def _brief(found: LockInEvaluation) -> Rows:

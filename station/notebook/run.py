@@ -315,7 +315,7 @@ def export(paths: PathLike | Iterable[PathLike], to: PathLike, *, replace: bool 
         Its ending says the format: ``.parquet``, ``.h5``, ``.npz``, ``.csv``; with ``/`` at its end a folder of
         Parquet parts.
     replace : bool, optional
-        Write over what is there.
+        Overwrite existing files.
 
     Returns
     -------

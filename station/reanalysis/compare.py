@@ -194,8 +194,8 @@ class Comparison:
             )
         elif self.by_noise is not None:
             said.append(
-                "No record is in both: the results are compared, every input counted; what both share, such as a "
-                "scale factor, counts too."
+                "No record is in both: the results are compared, all uncertainties included; what both share "
+                "(a scale factor) counts once."
             )
         else:
             said.append(

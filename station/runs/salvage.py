@@ -27,7 +27,9 @@ class Salvaged:
 def salvage(path: Path, parent: Path | None = None) -> Salvaged:
     """Make a new run of what can be read of a damaged one, which stays as it is."""
     file = run_file(path)
-    content, journal = file.read_bytes(), _content(journal_of(file))  # as they lie: opening a run may fold them
+    beside = journal_of(file)
+    # as they lie: opening a run may fold them
+    content, journal = file.read_bytes(), beside.read_bytes() if beside.exists() else b""
     records, facts = _scanned(content, journal)
     run = _opened(file)
     if run is not None:
@@ -43,10 +45,6 @@ def salvage(path: Path, parent: Path | None = None) -> Salvaged:
         for first in range(0, len(kept), _COMMIT):
             writer.save_records(kept[first : first + _COMMIT])
     return Salvaged(writer.path, len(records), lost)
-
-
-def _content(path: Path) -> bytes:
-    return path.read_bytes() if path.exists() else b""
 
 
 def _opened(file: Path) -> SavedRun | None:

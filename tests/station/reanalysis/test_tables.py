@@ -13,6 +13,7 @@ import pytest
 
 from station.cli import main
 from station.errors import CannotWrite, RunError, UsageError
+from station.reanalysis import parquet_table  # its schema holds the version: not first imported in a changed one
 from station.reanalysis.analyze_table import KINDS, Filled, fill_table, table_file
 from station.reanalysis.compare import compare, read_records, with_headlines
 from station.reanalysis.table_file import ORDER, only_writer
@@ -165,8 +166,6 @@ def test_a_table_of_a_newer_version_is_refused(ending: str, tree: Path, tmp_path
     table = tmp_path / f"results{ending}"
     monkeypatch.setattr("station.reanalysis.table_file.VERSION", 2)
     if ending == ".parquet":
-        from station.reanalysis import parquet_table
-
         newer = parquet_table.SCHEMA.with_metadata({"schema_name": "gyrolock results", "schema_version": "2"})
         monkeypatch.setattr(parquet_table, "SCHEMA", newer)
     filled(table, tree / "single.sqlite")

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Protocol
 
 from instrument.errors import LinkError
+
+_AS_ASKED = 0.1  # share of a rate by which a table may be off without being asked about
 
 _ANTICLOCKWISE = r"""
       .--<--.
@@ -65,7 +68,8 @@ class ManualRateTable:
     def set_rate(self, rate_dps: float) -> None:
         """Ask the operator to set the rate, and which rate the table shows then.
 
-        An empty answer means "exactly as asked". LinkError if the operator cannot be asked (no terminal).
+        An empty answer means "exactly as asked". A rate of the other sense, or a tenth off, must be typed twice.
+        LinkError if the operator cannot be asked (no terminal).
         """
         lines = [f"Set the rate table to {rate_dps:+.6g} deg/s and wait until it turns steadily."]
         if rate_dps:
@@ -73,15 +77,21 @@ class ManualRateTable:
         if self.why:
             lines.append(self.why)
         question = "\n".join([*lines, "Press Enter when done, or type the rate that it shows in deg/s: "])
+        typed: float | None = None
         while True:
             answer = self._answer(question)
-            if not answer:
-                self._rate_dps = rate_dps
-                return
-            if (number := _number(answer)) is not None:
+            number = _number(answer) if answer else rate_dps
+            if number is None:
+                question = f"{answer!r} is not a number. Rate in deg/s (Enter for {rate_dps:+.6g}): "
+            elif number == typed or abs(number - rate_dps) <= _AS_ASKED * abs(rate_dps):
                 self._rate_dps = number
                 return
-            question = f"{answer!r} is not a number. Rate in deg/s (Enter for {rate_dps:+.6g}): "
+            else:
+                typed = number
+                question = (
+                    f"The table was to turn at {rate_dps:+.6g} deg/s, not at {number:+.6g}. If it does, type it "
+                    "again; else set it right and press Enter, or type what it shows: "
+                )
 
     def doubt(self, seen: str) -> bool:
         """Ask the operator again, because the beat does not fit the rate that was confirmed.
@@ -138,6 +148,7 @@ class ManualRateTable:
 
 def _number(text: str) -> float | None:
     try:
-        return float(text.replace(",", "."))
+        number = float(text.replace(",", "."))
     except ValueError:
         return None
+    return number if math.isfinite(number) else None

@@ -31,6 +31,34 @@ def test_operator_types_what_the_table_shows():
     assert "not a number" in questions[1]
 
 
+@pytest.mark.parametrize("typed", ["-2.5", "25", "0.25", "2.8", "0"])
+def test_another_rate_than_was_asked_for_is_asked_for_again(typed: str) -> None:
+    table, questions = table_with(typed, "")
+    table.set_rate(2.5)
+    assert table.rate() == 2.5  # it was set right
+    assert f"not at {float(typed):+.6g}. If it does, type it again" in questions[1]
+    table, questions = table_with(typed, typed)
+    table.set_rate(2.5)
+    assert table.rate() == float(typed)
+    assert len(questions) == 2
+
+
+@pytest.mark.parametrize("typed", ["nan", "inf", "-inf", "1e999"])
+def test_a_rate_that_is_no_number_is_not_taken(typed: str) -> None:
+    table, questions = table_with(typed, "2.4")
+    table.set_rate(2.5)
+    assert table.rate() == 2.4
+    assert "is not a number" in questions[1]
+
+
+def test_a_table_that_goes_on_turning_is_asked_about() -> None:
+    table, questions = table_with("", "1.0", "")
+    table.set_rate(1.0)
+    table.close()
+    assert table.rate() == 0.0
+    assert "not at +1" in questions[2]
+
+
 def test_closing_stops_a_turning_table_once():
     table, questions = table_with("", "")
     table.close()

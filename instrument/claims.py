@@ -77,7 +77,8 @@ def claim(name: str, doing: str = "", *, means: str = "") -> Claim:
     link = link_of(means or name)
     if not link:
         return Claim(None)
-    path = _directory() / _file_name(link)
+    plain = re.sub(r"[^A-Za-z0-9]+", "-", link)[:60]
+    path = _directory() / f"gyrolock-{plain}-{zlib.crc32(link.encode()):08x}.lock"
     with _alone:
         if path in _held:
             _held[path] = (_held[path][0], _held[path][1] + 1)
@@ -199,10 +200,6 @@ def _directory() -> Path:
     if given := os.environ.get(DIRECTORY_VARIABLE):
         return Path(given)
     return _SYSTEM if os.access(_SYSTEM, os.W_OK | os.X_OK) else Path(tempfile.gettempdir())
-
-
-def _file_name(link: str) -> str:
-    return f"gyrolock-{re.sub(r'[^A-Za-z0-9]+', '-', link)[:60]}-{zlib.crc32(link.encode()):08x}.lock"
 
 
 def _user() -> str:

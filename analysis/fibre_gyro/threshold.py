@@ -32,8 +32,7 @@ from analysis.fibre_gyro.scatter import NORMAL_95
 
 THRESHOLD_PART, DEAD_PART = 0.5, 0.1
 _STRAIGHT, _SURE = 0.2, 4.0  # by which a slope may differ from K, and standard uncertainties beyond which it does
-_GRID = 2000
-_DRAWS = 300
+_GRID, _DRAWS = 2000, 300
 
 
 @dataclass(frozen=True)

@@ -132,12 +132,10 @@ def _changed(before: Mapping[str, Any], again: Evaluated) -> Iterator[str]:
             if old is None and isinstance(new, float):
                 yield f"{name} was none and is {new:.9g}"
             continue
-        if not isinstance(new, int | float) or not _same(float(old), float(new)):
+        if not isinstance(new, int | float) or not math.isclose(
+            float(old), float(new), rel_tol=_SAME, abs_tol=1e-12
+        ):
             yield f"{name} was {old:.9g} and is {new if new is None else f'{new:.9g}'}"
-
-
-def _same(one: float, other: float) -> bool:
-    return math.isclose(one, other, rel_tol=_SAME, abs_tol=1e-12)
 
 
 def _judged_again(step: Mapping[str, Any], again: Evaluated) -> RecordCheck:

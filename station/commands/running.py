@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
@@ -69,12 +69,9 @@ def _print(program: Running) -> None:
         since = str(situation.program.get("at", ""))[:19].replace("T", " ")
         say(f"process {program.pid}, since {since} UTC")
     else:
-        say(f"process {program.pid} was killed; the records are kept: go on with --resume {_parent(program)}")
+        resumed = program.run.parent if program.run else ""
+        say(f"process {program.pid} was killed; the records are kept: go on with --resume {resumed}")
     console.print(picture(situation, console.width, max(console.height, 40)))
-
-
-def _parent(program: Running) -> Any:
-    return program.run.parent if program.run is not None else ""
 
 
 def _watch() -> None:

@@ -665,7 +665,9 @@ def axis_budget(one: AxisResult, settings: FogSettings) -> dict[str, Any]:
             "scatter from run to run beyond these",
             parts["scatter"],
             not fit.scatter_assumed,
-            "10 ppm: no run repeats another" if fit.scatter_assumed else _freedom(one),
+            "10 ppm: no run repeats another"
+            if fit.scatter_assumed
+            else f"the residuals of {len(one.keys)} runs, {fit.degrees_of_freedom} degrees of freedom",
         ),
         _table_rate(settings, parts["table rate"]),
         _drift(one),
@@ -714,10 +716,6 @@ def _stated(settings: FogSettings, part: float) -> Contribution:
     )  # fmt: skip
     quantity = "irreproducibility of table rate and scale factor"
     return Contribution("irreproducibility", quantity, part, stated is not None, note)
-
-
-def _freedom(one: AxisResult) -> str:
-    return f"the residuals of {len(one.keys)} runs, {one.fit.degrees_of_freedom} degrees of freedom"
 
 
 def _table_rate(settings: FogSettings, part: float) -> Contribution:

@@ -485,6 +485,10 @@ NUMBERS = (
         "bias_residual", "dph", lambda one: one.bias.residual_rms if one.bias else math.nan, limit=True,
         doc="rms of what the model leaves",
     ),
+    Quantity(
+        "bias_hysteresis", "dph", lambda one: _hysteresis(one.bias)[0], lambda one: _hysteresis(one.bias)[1],
+        limit=True, doc="bias going up less going down, at equal temperature",
+    ),
     Quantity("rate_noise_share", of="rate_noise", doc="part of the scatter of dT/dt that is noise"),
 )  # fmt: skip
 DESIGN = (Quantity("reference_temperature", "c"), Quantity("nominal_scale_factor", "counts_per_dps"))
@@ -499,6 +503,23 @@ POINTS = (
     Quantity("temperature", "c", "points.temperature"),
     Quantity("k_per_min", of="points.rate", doc="dT/dt"),
 )
+
+
+_RAMPS, _FEWEST_OF_RAMP = 0.3, 3  # of the fastest change: slower is no ramp; points on the way up or down
+
+
+def _hysteresis(modelled: Modelled | None) -> tuple[float, float]:
+    """Going up less going down at equal temperature, with u; nan without a ramp each way."""
+    if modelled is None:
+        return math.nan, math.nan
+    model, rate = modelled.model, modelled.points.rate
+    beside = model.residual + model.rate_coefficient * rate  # what the polynomial does not say
+    up, down = (beside[sign * rate > _RAMPS * np.abs(rate).max()] for sign in (1, -1))
+    if min(up.size, down.size) < _FEWEST_OF_RAMP:
+        return math.nan, math.nan
+    # slow noise is another on the way down, and no mean over a ramp makes it smaller
+    u = math.hypot(model.noise_u * math.sqrt(1 / up.size + 1 / down.size), math.sqrt(2) * model.slow)
+    return float(up.mean() - down.mean()), u
 
 
 def _model_quantities(unit: str, constant_u: float = 0.0) -> tuple[Quantity, ...]:
@@ -628,11 +649,15 @@ def table_of_models(one: AxisTemperature) -> TextTable:
 
 
 def _sentences(one: AxisTemperature) -> list[str]:
-    return [
+    up_less_down, u = _hysteresis(one.bias)
+    said = f"Bias of axis {one.axis} going up less going down: {with_uncertainty(up_less_down, u)} deg/h. "
+    said += "One ramp up and down cannot tell hysteresis, a drift and an effect of dT/dt apart: vary its speed."
+    chosen = [
         _choice_in_words(f"{name} of axis {one.axis}", modelled)
         for name, modelled in (("scale factor", one.scale), ("bias", one.bias))
         if modelled is not None
     ]
+    return [*chosen, said] if math.isfinite(u) else chosen
 
 
 def _choice_in_words(name: str, modelled: Modelled) -> str:

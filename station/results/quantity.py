@@ -255,14 +255,11 @@ def limited_values(document: Mapping[str, Any], declared: Quantities) -> tuple[V
 
 def headline_values(document: Mapping[str, Any], declared: Quantities) -> tuple[Value, ...]:
     """What the list of runs shows of a result: one number, or that of each axis."""
+    # an older document may lack a number
+    there = {key for group in declared for _, holder in group.objects(document) for key in holder}
     wanted = (group.values(document, lambda one: one.headline) for group in declared)
-    found = (tuple(one for one in values if one.name in _keys_in(document, declared)) for values in wanted)
+    found = (tuple(one for one in values if one.name in there) for values in wanted)
     return next((values for values in found if values), ())
-
-
-def _keys_in(document: Mapping[str, Any], declared: Quantities) -> set[str]:
-    """Keys that a document has, of whatever value: an older one may lack a number."""
-    return {key for group in declared for _, holder in group.objects(document) for key in holder}
 
 
 def limit_names(declared: Quantities) -> tuple[str, ...]:

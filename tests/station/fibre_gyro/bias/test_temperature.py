@@ -11,6 +11,7 @@ from station.errors import NoUsableSignal
 from station.fibre_gyro import bench as simulated_bench
 from station.fibre_gyro.bench import SimulatedFogBench
 from station.fibre_gyro.segments import PlannedSegment
+from station.fibre_gyro.settings import load_fog_settings
 from station.measurements import measurement
 from station.report.show import render_report
 from station.runs.progress import Progress
@@ -139,3 +140,44 @@ def test_a_ramp_that_was_cut_short_goes_on(quick, taken, fog_settings, monkeypat
     assert resume_run(done.path, QUIET, kind=kind).failure is None
     whole, _ = taken("temperature", **quick)
     assert evaluate_run(open_run(done.path)).document()["bias"] == whole.document()["bias"]
+
+
+def ramp_with(
+    folder: Path, *, play_c: float = 0.0, by_rate: float = 0.0, slope: float = 0.02, seed: int = 0
+) -> Any:
+    """A log at rest over one ramp up and down at 1 K/min; the temperature of the bias lags by a play."""
+    rng, seconds = np.random.default_rng(0), np.arange(0.0, 9600.0, 0.5)
+    temperature = 60.0 - np.abs(seconds - 4800.0) / 60.0
+    felt = temperature.copy()
+    for place in range(1, felt.size):
+        low, high = temperature[place] - play_c / 2, temperature[place] + play_c / 2
+        felt[place] = min(max(felt[place - 1], low), high)
+    bias = 0.4 + slope * (felt - 20.0) + by_rate * np.gradient(temperature, seconds) * 60.0
+    earth = 15.041067 * np.sin(np.deg2rad(load_fog_settings().site.latitude_deg))
+    words = earth + bias + rng.normal(0.0, 0.4, seconds.size)
+    header = "time_s,gyro z [deg/h],temperature"
+    np.savetxt(
+        folder / "ramp.csv",
+        np.column_stack([seconds, words, temperature]),
+        "%.9g",
+        ",",
+        header=header,
+        comments="",
+    )
+    settings = load_fog_settings(overrides={"output": {"directory": str(folder)}})
+    done = start_run(measurement("temperature"), settings, QUIET, paths=[folder / "ramp.csv"])
+    return evaluate_run(open_run(done.path))
+
+
+@pytest.mark.parametrize(
+    ("how", "truth"),
+    [({}, 0.0), ({"by_rate": 0.1}, 0.2), ({"play_c": 10.0}, -0.2), ({"play_c": 6.0, "slope": -0.04}, 0.24)],
+)
+def test_going_up_less_going_down_is_given_with_what_it_may_be(tmp_path: Path, how: Any, truth: float) -> None:
+    evaluated = ramp_with(tmp_path, **how)
+    found = evaluated.document()
+    assert abs(found["bias_hysteresis_dph"] - truth) < max(3 * found["bias_hysteresis_u_dph"], 0.02)
+    assert found["bias_hysteresis_u_dph"] < 0.15
+    if truth:  # it is seen
+        assert abs(found["bias_hysteresis_dph"]) > 1.5 * found["bias_hysteresis_u_dph"]
+    assert "cannot tell hysteresis, a drift and an effect of dT/dt apart" in evaluated.result.sentences[-1]

@@ -466,22 +466,18 @@ def by_table_words(check: TableCheck) -> str:
 
 def _beat_over_table(check: TableCheck, lock_in_rate: float) -> str:
     over = (check.beat_over_table - 1) / check.beat_over_table_u
-    verdict = "as far as this check sees, they fit together"
+    verdict = "beat and table agree"
     if check.unexplained:
-        verdict = "they do not fit together, by more than chance and all that the budget counts explain"
+        verdict = "beat and table disagree, by more than chance and the whole budget explain"
     elif check.mismatch:
         verdict = (
             "more than chance explains, but not more than the budget counts for what is not known of detector and "
             "channel"
         )
-    seen = (
-        "does not show here"
-        if check.least_error_seen > 1
-        else f"shows here from {100 * check.least_error_seen:.2g} % on"
-    )
     text = (
-        f"Beat over table is {beat_over_table_words(check)}, {over:+.1f} u from 1: {verdict}. An error of the "
-        f"lock-in rate by the harmonics (a slow channel, distortion) {seen}."
+        f"Beat over table is {beat_over_table_words(check)}, {over:+.1f} u from 1: {verdict}. This check detects "
+        + ("no error" if check.least_error_seen > 1 else f"errors above {100 * check.least_error_seen:.2g} %")
+        + " of the lock-in rate by the harmonics (a slow channel, distortion)."
     )
     if not check.mismatch or not check.by_frequencies > 0:
         return text

@@ -132,3 +132,16 @@ def test_what_a_guide_reads_is_there_in_the_sample(page: str, sample: Path) -> N
 @pytest.mark.parametrize("page", PAGES_RUN)
 def test_every_command_of_a_guide_runs(page: str, sample: Path) -> None:
     all_run(page, sample, measuring=True)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("page", ["README.md", "docs/operator.md"])
+def test_what_a_page_shows_of_measure_is_what_it_prints(page: str, tmp_path: Path) -> None:
+    out = io.StringIO()
+    with contextlib.chdir(tmp_path), contextlib.redirect_stdout(out), contextlib.redirect_stderr(io.StringIO()):
+        assert main(["measure", "--no-report"]) == 0
+    printed = " ".join(out.getvalue().split())
+    text = (HOME / page).read_text(encoding="utf-8")
+    shown = re.findall(r"^ {4}((?:lock-in rate|removed|checks|records|quality) {2}.*)$", text, re.M)
+    assert len(shown) > 2
+    assert [line for line in shown if " ".join(line.split()) not in printed] == []

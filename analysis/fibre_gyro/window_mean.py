@@ -351,7 +351,7 @@ def turn_by_encoder(times_s: ArrayLike, angle_deg: ArrayLike, rate_dps: float) -
     # A ripple, and an encoder that sits off its axis, return with each turn: the time of a turn is free of them.
     of_turn = marks[_MARKS:] - marks[:-_MARKS]
     if not of_turn.size:
-        raise ValueError(f"the table turns by {turned[-1]:.4g} deg by its encoder: record a whole turn")
+        raise ValueError(f"the table turns by {turned[-1]:.1f} deg by its encoder: record a whole turn")
     ordered, quarter = np.sort(of_turn), (of_turn.size + 3) // 4
     densest = int((ordered[quarter - 1 :] - ordered[: ordered.size - quarter + 1]).argmin())
     usual = float(np.median(ordered[densest : densest + quarter]))

@@ -65,7 +65,7 @@ def _of_ring_laser() -> None:
 
 
 def _of_fibre_gyro() -> None:
-    """The logs of a rate-table run with their list, a night at rest, a noise sheet, the bytes of a serial line."""
+    """The logs of a rate-table run with their list, a night at rest, a noise sheet."""
     rows = ["file,axis,rate_dps,end_up"]
     for place, one in enumerate(segments_of(open_run(Path("runs") / RUN), "table")):
         name = f"log{place}.csv"
@@ -103,4 +103,6 @@ def _inside(folder: Path) -> Iterator[None]:
 
 
 if __name__ == "__main__":
+    if Path("sample").exists():
+        sys.exit("sample is there already: remove it to make it anew")
     make(Path("sample"))

@@ -337,8 +337,8 @@ def turn_by_encoder(times_s: ArrayLike, angle_deg: ArrayLike, rate_dps: float) -
     (2, 10.001)
     """
     times, angle = np.asarray(times_s, dtype=np.float64), np.asarray(angle_deg, dtype=np.float64)
-    if times.size < _FEWEST_ROWS:
-        raise ValueError(f"{times.size} rows of the table's angle are too few to tell its rate")
+    if times.size < _FEWEST_ROWS or not np.all(np.isfinite(angle)):
+        raise ValueError(f"{np.isfinite(angle).sum()} rows of the table's angle are too few to tell its rate")
     if abs(rate_dps) * float(np.median(np.diff(times))) > 170.0:
         raise ValueError("the table makes half a turn or more between two rows: its angle does not tell its rate")
     ahead = np.unwrap(angle - rate_dps * times, period=360.0)

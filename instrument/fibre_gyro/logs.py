@@ -703,7 +703,7 @@ _SYNONYMS = {
     COUNTS: ("counts", "count", "output", "gyro", "n", "f", "lsb", "pulses", "rate", "fog"),
     TEMPERATURE: ("temperature", "temp", "t_c", "temperature_degc"),
     STATUS: ("status",),
-    TABLE_ANGLE: ("table_deg", "table", "table_angle", "table_position", "encoder", "encoder_deg"),
+    TABLE_ANGLE: ("table_deg", "table_angle", "table_position", "encoder_deg", "encoder_angle"),
     COUNTER: ("counter", "frame", "frame_number", "seq", "sequence", "index", "sample"),
 }
 _AXIS = re.compile(

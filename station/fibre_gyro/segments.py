@@ -425,9 +425,9 @@ def _segment(record: SavedRecord, run: SavedRun) -> Segment:
         except (zlib.error, ValueError, KeyError, TypeError) as error:
             raise RunError(f"{run.path}: {record.key}: is damaged and cannot be read ({error})") from None
     segment = Segment(record.key, record.conditions, recording, record.intact, record.taken_at)
-    if record.conditions.get("rate_dps") and TABLE_ANGLE in recording.extra:
-        return _by_encoder(segment)
-    return segment
+    # what is shorter than a turn, as small rates are, has no whole turns
+    whole = abs(float(record.conditions.get("rate_dps") or 0.0)) * recording.duration_s >= 360.0
+    return _by_encoder(segment) if whole and TABLE_ANGLE in recording.extra else segment
 
 
 def _by_encoder(segment: Segment) -> Segment:

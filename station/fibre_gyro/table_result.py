@@ -95,9 +95,8 @@ class TableEvaluation:
     left_out: tuple[Excluded, ...]
     # of all gyros, where the segments hold the output of more than the one along the table's axis
     matrix: ThreeAxes | None = None
-    beside_s: tuple[
-        float, ...
-    ] = ()  # of each log whose rate the table's encoder gave, what lay beside whole turns
+    # of each log whose rate the table's encoder gave: what lay beside its whole turns
+    beside_s: tuple[float, ...] = ()
 
     def of(self, axis: str) -> AxisResult | None:
         """Result of one axis, ``None`` if there is none."""
@@ -411,7 +410,7 @@ def result(found: TableEvaluation, run: SavedRun, settings: FogSettings) -> Resu
     lines = (
         f"{COUNTS_PER_DPS}; by design {settings.nominal_scale_factor:.6f}.",
         f"From {sum(len(one.keys) for one in found.axes)} runs over whole turns, by least squares.",
-        *of_rates(found, settings),
+        *_of_rates(found, settings),
     )
     watched = tuple(to_watch(found, settings))
     return Result(
@@ -565,7 +564,7 @@ def to_watch(found: TableEvaluation, settings: FogSettings) -> list[str]:
     return said
 
 
-def of_rates(found: TableEvaluation, settings: FogSettings) -> Iterator[str]:
+def _of_rates(found: TableEvaluation, settings: FogSettings) -> Iterator[str]:
     """Say where the rates of the table are from, and what K then holds that u does not; sentences."""
     if found.beside_s:
         longest = max(found.beside_s)

@@ -93,10 +93,11 @@ def test_whole_turns_lie_where_the_table_is_steady(rate: float, spin_s: float) -
     [
         (np.arange(9), np.zeros(9), 20.0, "too few"),
         (np.arange(100) * 1.0, np.arange(100) * 200.0 % 360, 200.0, "half a turn"),
+        (np.arange(1000) * 0.1, np.full(1000, np.nan), 20.0, "0 rows of the table's angle are too few"),
         (np.arange(1000) * 0.1, np.zeros(1000), 20.0, "by its encoder: record a whole turn"),
         (np.arange(400) * 0.1, np.arange(400) * 0.4, 4.0, "record a whole turn"),
     ],
-    ids=["few rows", "too fast", "stands still", "less than a turn"],
+    ids=["few rows", "too fast", "no numbers", "stands still", "less than a turn"],
 )
 def test_an_angle_that_tells_no_rate_is_refused(times: Any, angle: Any, rate: float, said: str) -> None:
     with pytest.raises(ValueError, match=said):
@@ -105,4 +106,18 @@ def test_an_angle_that_tells_no_rate_is_refused(times: Any, angle: Any, rate: fl
 
 def test_an_angle_in_another_unit_is_refused(tmp_path: Path) -> None:
     with pytest.raises(Exception, match="must be in deg, not in 'rad'"):
-        table(tmp_path, RATES[:2], header="table [rad]")
+        table(tmp_path, RATES[:2], header="table_angle [rad]")
+
+
+def test_small_rates_need_no_whole_turn_though_the_angle_is_there(tmp_path: Path) -> None:
+    logs, now = Logs(tmp_path, "file,rate_dps"), 0.0
+    for number, rate in enumerate((0.0, 0.1, -0.1, 0.2, -0.2, 0.0)):
+        times = np.arange(200) / 10
+        words = TRUE_K * rate + logs.rng.normal(0.0, 0.01, times.size)
+        rows = np.column_stack([now + times, words, rate * times % 360])
+        np.savetxt(tmp_path / f"{number}.csv", rows, "%.9g", ",", header="time,counts,table_deg", comments="")
+        logs.rows.append(f"{number}.csv,{rate}")
+        now += 21.0
+    found = logs.evaluate("threshold", threshold={"table_axis": "east"})
+    assert found["left_out"] == []
+    assert [one["input_dps"] for one in found["points"]] == pytest.approx([0.1, -0.1, 0.2, -0.2])

@@ -20,8 +20,8 @@ def test_one_step_from_beside_the_minimum_reaches_it(terms: int, looseness: floa
     assert best.converged
     beside = replace(
         best.trajectory,
-        phase=best.trajectory.phase + 2e-3 * np.cos(0.01 * time),
-        parameters=best.trajectory.parameters * (1 + rng.normal(0.0, 1e-3, parameters.size)),
+        phase=best.trajectory.phase + 1e-3 * np.cos(0.01 * time),
+        parameters=best.trajectory.parameters * (1 + rng.normal(0.0, 3e-4, parameters.size)),
     )
     lost = record.fit(beside, looseness, 1).cost / best.cost - 1
     assert abs(lost) < 1e-4

@@ -108,7 +108,7 @@ def common_flags(outcome: Outcome) -> str:
     """The flags that the answers carry, the most frequent first."""
     names = [name for answer in outcome.answers for name in flag_names(answer.flags)]
     counts = sorted({name: names.count(name) for name in names}.items(), key=lambda pair: -pair[1])
-    return ", ".join(f"{name} {count}" for name, count in counts[:4])
+    return ", ".join(f"{name} {count}" for name, count in counts[:2])
 
 
 def refused_with_reason(outcome: Outcome) -> bool:

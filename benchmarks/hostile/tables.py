@@ -9,10 +9,8 @@ from benchmarks.hostile.measure import Outcome, common_flags
 _HEAD = (
     "class",
     "kind",
-    "finite",
-    "unwarned, wrong",
-    "warned, wrong",
     "unwarned",
+    "wrong",
     "refused",
     "covered",
     "u/WL",
@@ -28,15 +26,12 @@ def records_table(outcomes: Sequence[Outcome], n_records: int, seeds: Sequence[i
         share = f"{100 * one.covered / finite:.0f} %" if finite else ""
         stopped = one.count("error")
         refused = f"{len(one.answers) - finite}" + (f" ({stopped} stopped the batch)" if stopped else "")
-        wrong = one.unwarned_wrong
         rows.append(
             (
                 one.name,
                 one.kind,
-                str(finite),
-                f"{wrong} ({100 * wrong / finite:.1f} %)" if finite else "0",
-                str(one.count("wrong") - wrong),
                 str(one.unwarned),
+                str(one.unwarned_wrong),
                 refused,
                 share,
                 f"{one.relative_u:.2g}",

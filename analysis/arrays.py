@@ -1,7 +1,5 @@
 """What the arrays hold, in the words that signatures use; errors of the analysis."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

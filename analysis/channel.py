@@ -10,8 +10,6 @@ of the geometric series which fits H(n f) q^(n-1) best, found by the same least 
 The gain of the laser acts like one more pole, once for each step from a harmonic to the next.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

@@ -3,8 +3,6 @@
 Western Electric, Statistical Quality Control Handbook (1956), pp. 25-28; ISO 7870-2 (2013).
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 

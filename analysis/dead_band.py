@@ -11,8 +11,6 @@ hysteresis is a matter of the corner, a drift shifts them all. So the corner's f
 thresholds, for rates that rise and that fall, and the edges are taken to the middle of the sweep by that drift.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from enum import IntFlag
 from typing import NamedTuple

@@ -1,7 +1,5 @@
 """Quality flags: what a record's estimate rests on, and what it cannot be trusted for."""
 
-from __future__ import annotations
-
 from enum import IntFlag
 
 

@@ -8,8 +8,6 @@ frequency down; the part that only shifts their phases (conservative) pushes it 
 gain can follow the difference of the beams. WL^2 of this method is the difference of the two and may be negative.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import IntFlag

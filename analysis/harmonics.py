@@ -1,7 +1,5 @@
 """Frequency and harmonics of periodic records by least squares on the samples."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

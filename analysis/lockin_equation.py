@@ -14,8 +14,6 @@ linear, d(N, D)/dt = M (N, D) with M = pi K [[-WL, W], [-W, WL]] and M^2 = (pi K
 matrix exponential is one formula for a gyro that turns either way, is locked or sits on the edge.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Literal
 

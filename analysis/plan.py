@@ -1,7 +1,5 @@
 """Rate, time base, vertical scale and number of records for a wanted uncertainty of the lock-in rate."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

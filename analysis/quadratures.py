@@ -14,8 +14,6 @@ the fundamental becomes 1 - 2 D conj(rho) times what it was: its phase turns by 
 2 D Re rho, which must be taken out of the ratio of the channels' gains.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from enum import IntFlag
 

@@ -5,8 +5,6 @@ horizontal plane, to the azimuth that the table has turned to: 0 = north, growin
 earth rate depends on its cosine only, so it does not matter here which way round that is.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Which instruments are there, and why one of them cannot be used."""
 
-from __future__ import annotations
-
 import importlib
 import importlib.util
 import warnings
@@ -64,7 +62,11 @@ def find_resources(
         with warnings.catch_warnings():
             # PyVISA-py warns about optional packages for network discovery; `missing_transports` tells more.
             warnings.simplefilter("ignore")
-            names = _names_by_pyvisa_py(lan=lan) if _is_pyvisa_py(manager) else manager.list_resources("?*")
+            names = (
+                _names_by_pyvisa_py(lan=lan)
+                if (type(manager.visalib).__module__.partition(".")[0] == "pyvisa_py")
+                else manager.list_resources("?*")
+            )
     except (pyvisa.Error, OSError, ValueError) as error:
         raise LinkError(
             f"VISA cannot list any resources: {error}; install pyvisa-py or a vendor's VISA"
@@ -78,10 +80,6 @@ def find_resources(
         found = {name: check_resource(name, manager) for name in instruments if name not in waiting}
         found |= {name: one.result() for name, one in waiting.items()}
     return [found[name] for name in instruments]
-
-
-def _is_pyvisa_py(manager: pyvisa.ResourceManager) -> bool:
-    return type(manager.visalib).__module__.partition(".")[0] == "pyvisa_py"
 
 
 def _names_by_pyvisa_py(*, lan: bool) -> list[str]:

@@ -3,8 +3,6 @@
 The text of every one is a clear sentence: what is wrong, where, and what to do next.
 """
 
-from __future__ import annotations
-
 
 class InstrumentError(Exception):
     """Base class of everything that this package raises about an instrument or its files."""

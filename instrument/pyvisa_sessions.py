@@ -5,8 +5,6 @@ when it is told to, and gives up when nothing comes within a time that it holds:
 be asked for again. Its stream has no message ends.
 """
 
-from __future__ import annotations
-
 import contextlib
 import importlib
 import re

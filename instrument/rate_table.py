@@ -1,7 +1,5 @@
 """The rate table under the gyro: what any table must do, and a table that a person turns by hand or panel."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import Protocol

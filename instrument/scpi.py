@@ -4,8 +4,6 @@ Pure functions on text and bytes; nothing here knows a link or a scope. The rule
 manual 071-1075-04, pp. 2-4 to 2-14.
 """
 
-from __future__ import annotations
-
 from decimal import Decimal
 
 from instrument.errors import TransferError

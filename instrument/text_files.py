@@ -7,8 +7,6 @@ Bytes that are no plain text stand in `base64`. Nothing but what went over the l
 reached its size goes no further and says so in its last line.
 """
 
-from __future__ import annotations
-
 import base64
 import json
 import os

@@ -6,8 +6,6 @@ at channels 1 and 2 that stand well on the screen with factory settings. Before 
 family may stand: ``TDS2024B@gyrolock``.
 """
 
-from __future__ import annotations
-
 from pyvisa.util import DebugInfo, LibraryPath
 
 from instrument.simulated import SimulatedTDS2014

@@ -274,7 +274,11 @@ def read_entry(file: Path, name: str) -> Entry | None:
         simulated=facts.simulated,
         outcome=facts.outcome_text,
         records=records,
-        values=_headline(document, facts.command),
+        values=(
+            headline_values(document, measurement(facts.command).quantities)
+            if facts.command in MEASUREMENTS
+            else ()
+        ),
         verdict=document.get("verdict"),
         standing=document.get("standing"),
         instrument_serial=identity.get("serial"),
@@ -289,11 +293,6 @@ def _document(row: tuple[Any, ...] | None) -> dict[str, Any]:
         found = json.loads(row[0]) if row else {}
         return found if isinstance(found, dict) else {}
     return {}
-
-
-def _headline(document: Mapping[str, Any], command: str) -> tuple[Value, ...]:
-    """The numbers that a result begins with: one, or that of each axis."""
-    return headline_values(document, measurement(command).quantities) if command in MEASUREMENTS else ()
 
 
 # --------------------

@@ -1,7 +1,5 @@
 """The command ``gyrolock``. Modules of :mod:`station.commands` are imported when a command of theirs is run."""
 
-from __future__ import annotations
-
 import importlib
 import os
 import sys
@@ -34,6 +32,7 @@ _ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VE
 # command: module and name in it, and the line that `gyrolock --help` shows without importing it
 COMMANDS = {
     "measure": ("commands.measure:measure", "Measure the lock-in rate: acquire, save, analyse, report."),
+    "start": ("commands.measure:start", "Measure for the first time, step by step."),
     "acquire": ("commands.measure:acquire", "Acquire and save records only."),
     "deadband": ("commands.measure:deadband", "Search the dead band: sweep the rate through zero, up and down."),
     "analyze": (
@@ -99,10 +98,10 @@ COMMANDS = {
 
 
 GROUPS = {
-    "Measure": ("measure", "deadband", "fog", "station"),
+    "Measure": ("start", "measure", "deadband", "fog", "station"),
     "Look": ("status", "runs", "report", "history"),
     "Judge": ("analyze", "compare", "plan"),
-    "Keep": ("export", "annotate"),
+    "Keep": ("export",),
     "Bench": ("doctor", "settings", "simulate"),
 }
 """What `gyrolock --help` explains; the other commands are named."""

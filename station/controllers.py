@@ -158,6 +158,7 @@ def open_surroundings(
 # Which controllers stand on the bench: where they are connected, and the template of their commands
 
 
+TABLES = ("rate_table", "acutrol", "ideal_aerosmith")
 KINDS = {"rate_table": "rate table", "chamber": "chamber", "power_supply": "power supply"}
 """Name of a controller in the settings, and of its kind in a template."""
 
@@ -166,7 +167,7 @@ class ControllerSettings(SettingsSection):
     """One controller."""
 
     resource: str = ""  # VISA resource name; empty: the one that is simulated
-    file: str = ""  # template; empty: the one that comes with the program
+    file: str = ""  # template, or the name of one that comes with the program; empty: the plain one
     template: dict[str, Any] = Field(default={})  # what stands in that file: a run carries it along
 
 
@@ -210,7 +211,9 @@ def with_controllers(settings: S, table_kind: str, path: Path) -> S:
 def _with_template(one: ControllerSettings, name: str, path: Path) -> ControllerSettings:
     if one.template:
         return one
-    file = path.parent / one.file if one.file else shipped_settings(f"controllers/{name}")
+    file = path.parent / one.file
+    if not one.file or one.file in TABLES:
+        file = shipped_settings(f"controllers/{one.file or name}")
     values = read_toml(file)
     try:
         template = ControllerTemplate.model_validate(values)

@@ -1,7 +1,5 @@
 """What can go wrong, in the words and the exit codes that the command line uses."""
 
-from __future__ import annotations
-
 import signal
 from dataclasses import dataclass
 

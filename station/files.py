@@ -1,7 +1,5 @@
 """Which program, on which Python, from which source, made a number; memory given back; texts in cells."""
 
-from __future__ import annotations
-
 import ctypes
 import importlib.metadata
 import math

@@ -1,7 +1,5 @@
 """Asking the operator on the terminal."""
 
-from __future__ import annotations
-
 import math
 import sys
 

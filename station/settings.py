@@ -3,8 +3,6 @@
 The defaults stand in the files of ``config/`` and nowhere else. A user's file holds only what differs from one.
 """
 
-from __future__ import annotations
-
 import difflib
 import re
 import tomllib
@@ -291,7 +289,12 @@ def load(kind: SettingsKind[S], path: Path | None = None, overrides: Values | No
     shipped = shipped_settings(kind.shipped(given))
     values = merged(read_toml(shipped), given)
     kind.adapt(values)
-    return kind.check(_validated(kind, values, path or shipped, overrides or {}), path or shipped)
+    try:
+        return kind.check(_validated(kind, values, path or shipped, overrides or {}), path or shipped)
+    except SettingsError as error:
+        if path is not None:
+            raise
+        raise SettingsError(str(error).removeprefix(f"{shipped}: ")) from None  # what is wrong was an option
 
 
 def saved_settings(kind: SettingsKind[S], values: Mapping[str, Any], place: str) -> S:

@@ -1,7 +1,5 @@
 """Lines on stdout and stderr that do not break, whatever they hold and whoever has closed the stream."""
 
-from __future__ import annotations
-
 import codecs
 import errno
 import io

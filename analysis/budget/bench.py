@@ -1,7 +1,5 @@
 """What is known of a measurement and of its bench: what a budget is made from."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field, replace
 

@@ -4,8 +4,6 @@
 output over input, counts per deg/s; the S of the IEEE texts is its inverse, input over output.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

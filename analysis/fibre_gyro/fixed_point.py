@@ -4,8 +4,6 @@ A word of w bits, two's complement, of which f are behind the point, holds n 2^-
 rounding error is computed from the word itself, as it stands in the text that is written.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -7,8 +7,6 @@ zero: the output is the number that was injected, whatever the coil, the wavelen
 The predictions here say so with numbers.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal
 

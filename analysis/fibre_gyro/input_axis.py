@@ -13,8 +13,6 @@ The columns of S are measured one after the other; row i over its length is the 
 axes of the body, as the fixture brings them to the table's axis. What the fixture is out of square is in it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -11,8 +11,6 @@ and scatter from run to run add to its mean square is known and taken off; the i
 make all of it.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

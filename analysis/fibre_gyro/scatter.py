@@ -15,8 +15,6 @@ normal error; over all of them it is a mixture, whose 95 % interval is given. Wh
 that is Student's t; where their noise does, the normal interval.
 """
 
-from __future__ import annotations
-
 import functools
 from dataclasses import dataclass
 

@@ -21,8 +21,6 @@ ruled by what is unlikely and far off.)
 Inside, Legendre polynomials over the measured range stand for the powers. Beyond that range nothing is given.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -16,8 +16,6 @@ and anywhere there, evenly in the logarithm (below the first rung: evenly in the
 model of the dead zone, its interval holds what the ladder leaves open, and without a dead zone it is a bound.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

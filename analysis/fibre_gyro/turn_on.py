@@ -8,8 +8,6 @@ models and time constants is weighed with its likelihood, and values are drawn f
 ended within the record gives a wide interval, and one that hides in the noise an interval that begins at zero.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -11,8 +11,6 @@ phi_0 are fitted to all segments by weighted least squares. What the segments sc
 the uncertainties, as for the runs of a rate table (`rate_table/scatter.py`).
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 

@@ -4,8 +4,6 @@ With every word there the mean is the sum over the number of words. With some mi
 horizontal earth rate are fitted to those that are there: their mean alone would hold a part of the sine.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

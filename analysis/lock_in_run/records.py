@@ -1,7 +1,5 @@
 """The records of one run as arrays, what is known of their bench, and the estimate of each."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass, replace

@@ -13,8 +13,6 @@ a2 backscatter of the beams (rad/s), eps the sum of their phases. With infinite 
     2 pi K WL exp(i beta) = a1 exp(-i eps/2) + a2 exp(i eps/2).                                        (2)
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass

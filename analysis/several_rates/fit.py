@@ -6,8 +6,6 @@ it with the square of the rate. Records at several rates tell them apart (equati
 docs/several_rates.md). What they leave open is bounded by what is known of receiver and laser beforehand.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """What a fit over several rates gives back: values, checks, flags, sentences."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from enum import IntFlag
 from typing import Literal

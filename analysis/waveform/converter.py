@@ -1,7 +1,5 @@
 """What the converter does: clipped samples and spikes that must not be believed, and rounding."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

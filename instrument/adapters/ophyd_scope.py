@@ -6,8 +6,6 @@
 >>> RunEngine()(plans.count([scope], num=5))                                # doctest: +SKIP
 """
 
-from __future__ import annotations
-
 import asyncio
 import time
 from collections.abc import Sequence

@@ -6,8 +6,6 @@
 >>> volts = scope.ch_1.acquire().volts                                      # doctest: +SKIP
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 from pymeasure.adapters import Adapter

@@ -4,8 +4,6 @@ The driver speaks with headers off and takes curves as signed bytes. Both are se
 and put back as found when it ends.
 """
 
-from __future__ import annotations
-
 import contextlib
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator

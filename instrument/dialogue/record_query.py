@@ -8,8 +8,6 @@ Of one source the question is ``WAVFrm?``. Of several, ``DATa:SOUrce`` goes from
 Programmer manual 071-1075-04, pp. 2-86 to 2-91 and 2-240 to 2-246.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from instrument import scpi

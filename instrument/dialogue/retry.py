@@ -3,8 +3,6 @@
 A person at a keyboard wants to hear at once that something is wrong; a run that nobody watches goes on.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field

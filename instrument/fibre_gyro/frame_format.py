@@ -1,7 +1,5 @@
 """What a gyro's frames and commands look like, and what follows from it: lengths, times, limits."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Mapping

@@ -16,8 +16,6 @@ else tells it from one that was sent. In text without a checksum a changed digit
 output is not used that lies beyond those before it while those behind are back among them.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """One frame: from its bytes to its numbers, or to the reason why it cannot be used or cannot be meant."""
 
-from __future__ import annotations
-
 import itertools
 import re
 import struct

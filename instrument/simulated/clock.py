@@ -1,7 +1,5 @@
 """Time for simulated instruments: the computer's own, or a clock that jumps instead of waiting."""
 
-from __future__ import annotations
-
 import time
 from typing import Protocol
 

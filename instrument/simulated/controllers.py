@@ -1,7 +1,5 @@
 """Simulated rate table, chamber and supply on lines of text, on a pseudo-terminal or a TCP port."""
 
-from __future__ import annotations
-
 import math
 import time
 from typing import Protocol

@@ -1,7 +1,5 @@
 """What can go wrong on demand: faults of the instrument, of its link, and of people near it."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass

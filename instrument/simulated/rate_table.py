@@ -4,8 +4,6 @@ The azimuth is the exact integral of the rate, known for every time that has pas
 on the table can be evaluated at any of them.
 """
 
-from __future__ import annotations
-
 import math
 import threading
 from dataclasses import astuple, dataclass

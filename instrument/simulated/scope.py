@@ -1,7 +1,5 @@
 """The simulated oscilloscope: a program message goes in, an answer comes out, time passes on a clock."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from functools import lru_cache
 

@@ -1,7 +1,5 @@
 """The state of the simulated oscilloscope: everything that a command reads or changes, and what its parts do."""
 
-from __future__ import annotations
-
 import threading
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping

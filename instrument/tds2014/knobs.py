@@ -1,7 +1,5 @@
 """The front panel as methods, each read back; setups, measurements, cursors and the picture of the screen."""
 
-from __future__ import annotations
-
 import io
 import struct
 from collections.abc import Mapping

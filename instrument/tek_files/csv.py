@@ -4,8 +4,6 @@ It holds volts, not codes. Every value is a whole number of codes times V/div ov
 exactly. The FFT that a scope saves as CSV is read as well: its preamble says ``Hz`` and ``dB``.
 """
 
-from __future__ import annotations
-
 import csv
 import math
 import re
@@ -420,9 +418,7 @@ def cells_of(text: str) -> list[list[str]]:
     else:
         rows = [line.split(separator) for line in lines]
     if separator != "," or '"' in text:
-        rows = [[_pointed(cell) for cell in row] for row in rows]
+        rows = [
+            [(cell.replace(",", ".") if _DECIMAL_COMMA.fullmatch(cell) else cell) for cell in row] for row in rows
+        ]
     return [[cell.strip() for cell in row] for row in rows]
-
-
-def _pointed(cell: str) -> str:
-    return cell.replace(",", ".") if _DECIMAL_COMMA.fullmatch(cell) else cell

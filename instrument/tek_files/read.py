@@ -1,7 +1,5 @@
 """A waveform file of whatever kind: its content decides, not its name; ISF files."""
 
-from __future__ import annotations
-
 import os
 import re
 from dataclasses import dataclass

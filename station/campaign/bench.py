@@ -1,7 +1,5 @@
 """The bench of a campaign: looked at, kept from others, chamber and supply brought to conditions."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

@@ -1,7 +1,5 @@
 """A campaign in words: what it will do, how it has ended, its verdict in large letters."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The record of a test: JSON with its hashes, JUnit XML, CSV and a page, beside the runs it was made of."""
 
-from __future__ import annotations
-
 import csv
 import hashlib
 import io
@@ -471,7 +469,12 @@ def render_record(record: Mapping[str, Any], outcome: CampaignOutcome, evaluated
         notes=_notes(record),
         steps=[
             *(_step_row(step, evaluated.get(step["key"])) for step in record["steps"]),
-            *_not_begun_section(record),
+            *(
+                [
+                    {"name": one["key"], "value": "", "begun": "not begun", "verdict": "", "state": "doubtful"}
+                    for one in record["not_begun"]
+                ]
+            ),
         ],
         shown=list(_shown(record, evaluated)),
         fact_columns=[tables[:middle], tables[middle:]],
@@ -557,13 +560,6 @@ def _step_row(step: Mapping[str, Any], evaluated: Evaluated | None) -> dict[str,
         "verdict": step["verdict"] or "measured",
         "state": _state(step["verdict"]) or "good",
     }
-
-
-def _not_begun_section(record: Mapping[str, Any]) -> list[dict[str, str]]:
-    return [
-        {"name": one["key"], "value": "", "begun": "not begun", "verdict": "", "state": "doubtful"}
-        for one in record["not_begun"]
-    ]
 
 
 def _shown(record: Mapping[str, Any], evaluated: Mapping[str, Evaluated]) -> Iterator[dict[str, Any]]:

@@ -1,7 +1,5 @@
 """Proving that a record of a test and its raw runs belong together, and that the result follows from them."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Iterator, Mapping

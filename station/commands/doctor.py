@@ -1,7 +1,5 @@
 """``gyrolock doctor``: checks of an installation; each says what was found, and what to do about it."""
 
-from __future__ import annotations
-
 import json
 import os
 import platform

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
+from instrument.errors import LinkError
+from station.errors import CannotWrite
 from station.shell.options import (
     CHANNELS,
     RUN_PATH,
@@ -30,6 +33,8 @@ F = TypeVar("F", bound=Callable[..., Any])
 _PLACES = {
     "resource": "scope.resource",
     "scale_factor": "gyro.scale_factor_pulses_per_deg",
+    "table": "table.kind",
+    "rate_table": "controllers.rate_table",
     "rates": "measurement.rates_over_lock_in",
     "records": "measurement.records",
     "channel": "scope.channel",
@@ -43,6 +48,34 @@ def _rates(_: click.Context, __: click.Parameter, value: str | None) -> str | li
         return [float(one) for one in value.split(",")]
     except ValueError:
         raise click.BadParameter(f"{value!r} is neither auto nor numbers such as 8 or 3,5,8,15,30") from None
+
+
+def _table(context: click.Context, _: click.Parameter, value: str | None) -> str | None:
+    """The kind of table, and its controller beside it."""
+    if value is None:
+        return None
+    if (words := _table_words(value)) is None:
+        raise click.BadParameter(f"{value!r} is neither manual, none nor NAME@RESOURCE with {_TEMPLATES} as NAME")
+    kind, controller = words
+    if controller:
+        context.params["rate_table"] = controller
+    return kind
+
+
+def _table_words(value: str) -> tuple[str, dict[str, str]] | None:
+    """The kind of table, and its controller: a name is that of a template, with where it is connected."""
+    from station.controllers import TABLES
+
+    if value in ("manual", "none"):
+        return value, {}
+    name, _, resource = value.partition("@")
+    file = Path(name)
+    if name in TABLES:
+        return "controller", {"resource": resource, "file": name}
+    return ("controller", {"resource": resource, "file": str(file.resolve())}) if file.is_file() else None
+
+
+_TEMPLATES = "acutrol, ideal_aerosmith, rate_table or the file of a template"
 
 
 def _bench_options(function: F) -> F:
@@ -59,6 +92,13 @@ def _bench_options(function: F) -> F:
             callback=positive,
             metavar="K",
             help="Pulses per degree. With --resource it must be given, here or in the settings.",
+        ),
+        click.option(
+            "--table",
+            callback=_table,
+            metavar="WHAT",
+            help="Who turns the table: manual (you), none (it turns already), or NAME@RESOURCE of its controller "
+            "(acutrol, ideal_aerosmith, rate_table or the file of a template).",
         ),
         click.option(
             "--rates",
@@ -84,7 +124,7 @@ def measure(**given: Any) -> int:
     """Measure the lock-in rate: acquire, save, analyse, report.
 
     Without --resource the whole bench is simulated: rate table, gyro and oscilloscope. With --resource the
-    gyro is expected to turn already, unless the settings say that an operator sets the table.
+    gyro is expected to turn already, unless --table or the settings say who sets the table.
 
     Where the table can be set, the gyro goes through several rates in both senses, chosen for the expected lock-in
     rate: they tell distortion of the detector and the laser's gain corner from lock-in. `--rates 8` takes the
@@ -144,6 +184,110 @@ def _with_scale_factor(given: dict[str, Any]) -> dict[str, Any]:
     if settings.gyro.scale_factor_pulses_per_deg:
         return given
     return given | {"scale_factor": ask_scale_factor()}
+
+
+# --------------------
+# ``gyrolock start``: the first measurement, step by step
+
+
+_WHO_TURNS = """\
+Who turns the rate table?
+  manual          you, when the program asks: five rates in both senses, ±0.1 %
+  none            nobody, it turns already: one rate, ±20 %, since distortion cannot be told from lock-in
+  NAME@RESOURCE   its controller (acutrol, ideal_aerosmith, or the file of a template): as manual, by itself
+Table [none]: """
+
+
+@click.command("start")
+@click.option(
+    "--resource", metavar="NAME", help="VISA name of the oscilloscope, where it is not found by looking."
+)
+@click.option(
+    "--to", type=click.Path(path_type=Path), default=Path("bench.toml"), metavar="FILE", help="Settings file."
+)
+@click.pass_context
+def start(context: click.Context, resource: str | None, to: Path) -> int:
+    """Measure for the first time, step by step: find the oscilloscope, look at its channels, ask, measure.
+
+    The answers are written to FILE [bench.toml], so the next time is `gyrolock measure --config bench.toml`.
+    """
+    from station.lock_in.settings import default_settings
+    from station.operator import ask_number, ask_operator, check_terminal
+    from station.report.show import write_page
+    from station.scope.autoset import look_at_channels
+    from station.scope.tools import open_scope
+
+    check_terminal()
+    if to.exists():
+        raise click.UsageError(
+            f"{to} is there already: `gyrolock measure --config {to}`, or another name with --to"
+        )
+    resource = resource or _found_instrument()
+    shipped = default_settings("bench").scope
+    with open_scope(resource) as scope:
+        say(f"{scope.identity.text} on {resource}; looking at its channels...")
+        seen = look_at_channels(scope, lambda name: shipped.model_copy(update={"channel": name}))
+    beats = [name for name, (text, periodic) in seen.items() if periodic and "?" not in text]
+    for name, (text, _) in seen.items():
+        say(f"  {text}{' looks like a beat' if name in beats else ''}")
+    first = (beats or list(seen))[0]
+    channel = _answered(f"Channel of the beat [{first}]: ", first, lambda text: text.upper() in seen).upper()
+    factor = ask_number("Scale factor of the gyro in pulses per degree, from its data sheet: ", "no terminal")
+    expected = _answered("Lock-in rate that you expect, deg/s [0.01]: ", "0.01", _is_positive)
+    options = _answered(_WHO_TURNS, "none", lambda text: _table_words(text) is not None)
+    kind, controller = _table_words(options) or ("none", {})
+    unit = ask_operator("Serial number of the unit [none]: ").strip()
+    lines = [
+        "# Written by `gyrolock start`. All that can be set: `gyrolock settings bench`.",
+        f"[gyro]\nscale_factor_pulses_per_deg = {factor!r}\nexpected_lock_in_rate_dps = {float(expected)!r}",
+        f"[scope]\nresource = {json.dumps(resource)}\nchannel = {json.dumps(channel)}",
+        f"[table]\nkind = {json.dumps(kind)}",
+    ]
+    if controller:
+        names = (f"{key} = {json.dumps(value)}" for key, value in controller.items())
+        lines.append("\n".join(["[controllers.rate_table]", *names]))
+    try:
+        write_page(to, "\n\n".join(lines) + "\n")
+    except OSError as error:
+        raise CannotWrite(f"{to}: {error.strerror}: another name with --to") from error
+    say(f"Written to {to}. The same again: gyrolock measure --config {to}")
+    return int(context.invoke(measure, config=to, unit=unit or None))
+
+
+def _found_instrument() -> str:
+    """VISA name of the oscilloscope: the one that answers, or which of them."""
+    from instrument import find_resources
+
+    say("Looking for oscilloscopes on serial ports, USB, GPIB and the network...")
+    found = find_resources()
+    usable = [one for one in found if one.identity is not None]
+    for one in found:
+        say(f"  {one.resource_name}  {one.identity.text if one.identity else one.problem}")
+    if not usable:
+        raise LinkError(
+            f"none of {len(found)} names is an oscilloscope that can be used: `gyrolock doctor` says what is "
+            "missing; give a name with --resource, or see it work without hardware: `gyrolock measure`"
+        )
+    first = usable[0].resource_name
+    names = [one.resource_name for one in usable]
+    return first if len(names) == 1 else _answered(f"Which one [{first}]: ", first, names.__contains__)
+
+
+def _answered(question: str, default: str, is_right: Callable[[str], bool]) -> str:
+    """Ask until the answer is one of those that can be meant; Enter means the default."""
+    from station.operator import ask_operator
+
+    asked = question
+    while not is_right(answer := ask_operator(asked).strip() or default):
+        asked = f"{answer!r} cannot be meant. {question}"
+    return answer
+
+
+def _is_positive(text: str) -> bool:
+    try:
+        return 0 < float(text) < float("inf")
+    except ValueError:
+        return False
 
 
 # --------------------

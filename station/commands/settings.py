@@ -1,7 +1,5 @@
 """``gyrolock settings``: a commented settings file to copy, and the JSON Schema of one for editors."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import click

@@ -1,7 +1,5 @@
 """The files of a data set: CSV, HDF5, NumPy and Parquet, each a way to keep the one table."""
 
-from __future__ import annotations
-
 import base64
 import csv
 import io
@@ -71,7 +69,11 @@ class CsvWriter:
             else:
                 self._told = cells[-1]
             payload = base64.b64encode(rows.payloads[place]).decode() if others[place] else ""
-            numbers = [""] * len(OUTPUTS) if output is None else [_numbers_cell(output[name]) for name in OUTPUTS]
+            numbers = (
+                [""] * len(OUTPUTS)
+                if output is None
+                else [(" ".join(map(repr, output[name].tolist()))) for name in OUTPUTS]
+            )
             seen = nothing if others[place] else ",".join([_TEXTS[level] for level in levels[place].tolist()])
             head = io.StringIO()
             csv.writer(head, lineterminator="").writerow([_MARK, *cells, payload, *numbers])
@@ -221,10 +223,6 @@ def _cell(value: Any) -> str:
     if isinstance(value, float):
         return "" if math.isnan(value) else repr(value)
     return inert(str(value))
-
-
-def _numbers_cell(values: Floats) -> str:
-    return " ".join(map(repr, values.tolist()))
 
 
 # --------------------

@@ -5,8 +5,6 @@ it was sent, the conditions, what is known of the source) stands beside it as te
 bytes of an oscilloscope's record are its codes; whatever else an instrument sent is a payload.
 """
 
-from __future__ import annotations
-
 import importlib
 import json
 import math

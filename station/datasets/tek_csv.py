@@ -1,7 +1,5 @@
 """Export as the oscilloscope does it: a CSV file for each record, in the folders that its SAVE ALL makes."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path

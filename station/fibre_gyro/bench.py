@@ -1,7 +1,5 @@
 """The bench of a fibre gyro: a serial link and a table that an operator turns, or both simulated."""
 
-from __future__ import annotations
-
 import zlib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress

@@ -1,7 +1,5 @@
 """``gyrolock fog``: the tests of a fibre gyro, `constants`, `sniff`, `serve` and `settings`."""
 
-from __future__ import annotations
-
 import inspect
 import stat
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Constants for a gyro's own logic out of a run: VHDL, C and CSV, and what their rounding costs."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Iterator, Mapping

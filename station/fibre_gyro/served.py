@@ -1,7 +1,5 @@
 """The simulated gyro behind a serial port, for practice and for tests: the model of the output words as frames."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 

@@ -1,7 +1,5 @@
 """Settings of ``gyrolock fog``: ``config/fibre_gyro.toml``, and a user's file that holds what differs."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self

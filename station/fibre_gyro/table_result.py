@@ -1,7 +1,5 @@
 """What a rate-table run says: scale factor, earth rate and bias of each axis, with their budget."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """What happens as plain lines on stderr, the sentences that displays share, and the consoles."""
 
-from __future__ import annotations
-
 import sys
 import time
 from collections.abc import Mapping

@@ -1,7 +1,5 @@
 """The live display: picture, curve of dots, drawn anew on one terminal while it is measured."""
 
-from __future__ import annotations
-
 import itertools
 import math
 import threading

@@ -3,8 +3,6 @@
 A reader that fails is not asked again, and what is measured goes on.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import select

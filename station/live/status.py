@@ -4,8 +4,6 @@ A lock that the operating system takes away with the process tells a program tha
 file beside it asks the program to end: that works on every system, and signals do not.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import platform

@@ -1,7 +1,5 @@
 """The lock-in rate of a ring laser gyro: the skeleton of measurements, filled in, and its live preview."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """What the records say, in sentences: rates, table, flags, and what would help."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -567,7 +565,10 @@ def short_remedy(budget: Budget) -> str:
     if first is None or first.contribution == 0:
         return ""
     share = f"{100 * budget.share(first):.0f} % of the variance"
-    return f"{first.quantity} is {share}: {_REMEDIES.get(first.name, _TABLE).partition('; or ')[0]}"
+    remedy = _REMEDIES.get(first.name, _TABLE).partition("; or ")[0]
+    if first.name == "distortion":
+        remedy = "take several rates in both senses (--table manual, or the table's name), which separates it"
+    return f"{first.quantity} is {share}: {remedy}"
 
 
 def _percent(u_95: float, budget: Budget) -> str:

@@ -4,8 +4,6 @@ Units stand in the keys; uncertainties are standard ones unless the key says 95,
 says noise.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Which rates a campaign goes through, in which order, and which others when the gyro is not as expected."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """The lock-in rate as numbers, tables and JSON, with its budget."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Simulated oscilloscopes alone, in real time: on a gyro that turns at the slow rate, or on other signals."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

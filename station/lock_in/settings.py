@@ -3,8 +3,6 @@
 Sections that came later have defaults here as well: a run that was saved without them can still be read.
 """
 
-from __future__ import annotations
-
 import csv
 import itertools
 import math
@@ -218,7 +216,7 @@ def _check(settings: Settings, path: Path) -> Settings:
         raise SettingsError(f"{path}: scope.resource is empty and there is no [simulation]: name the oscilloscope")
     if settings.simulated and settings.table.kind == "manual":
         raise SettingsError(
-            f'{path}: table.kind: an operator cannot turn a simulated table; use "simulated" or "none"'
+            f"{path}: table.kind: an operator cannot turn a simulated table: name the oscilloscope (--resource)"
         )
     if len(settings.named_rates) > 1 and settings.table.kind == "none":
         raise SettingsError(

@@ -3,8 +3,6 @@
 What is measured is only saved here; numbers come from the saved run.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, replace

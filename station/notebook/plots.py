@@ -1,7 +1,5 @@
 """Pictures of one record: samples, fit and what the fit leaves; the output of a fibre gyro."""
 
-from __future__ import annotations
-
 import io
 from collections.abc import Sequence
 from contextlib import AbstractContextManager

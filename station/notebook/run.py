@@ -1,7 +1,5 @@
 """Opening what was saved: a run of any measurement, or files of an oscilloscope seen as one."""
 
-from __future__ import annotations
-
 import os
 import warnings
 from collections.abc import Iterable, Mapping, Sequence

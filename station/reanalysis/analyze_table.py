@@ -1,7 +1,5 @@
 """A results table filled from sources: only what it does not hold yet is computed, piece by piece."""
 
-from __future__ import annotations
-
 import os
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence

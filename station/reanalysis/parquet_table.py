@@ -1,7 +1,5 @@
 """A results table as Parquet: columns, in row groups of some ten thousand records."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path

@@ -3,8 +3,6 @@
 A measurement says with :func:`dataclasses.replace` where its evaluation holds them and how well it knows them.
 """
 
-from __future__ import annotations
-
 from station.results.quantity import Quantity
 
 # of a ring laser

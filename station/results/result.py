@@ -1,7 +1,5 @@
 """What every measurement gives, in one form: parts of a report, numbers as text, plain JSON, the budget."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence

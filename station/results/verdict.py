@@ -4,8 +4,6 @@ Decision rules: JCGM 106:2012 (Evaluation of measurement data, the role of measu
 assessment), sections 8.2 (simple acceptance) and 8.3 (guard bands).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """The bench that the settings describe, real or simulated: opened, looked at, its table set."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager

@@ -1,7 +1,5 @@
 """The simulated bench: gyro, rate table and oscilloscope on one clock."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager

@@ -3,8 +3,6 @@
 Values that came later have defaults here as well: a run that was saved without them can still be read.
 """
 
-from __future__ import annotations
-
 from typing import Annotated, Literal, Protocol
 
 from pydantic import Field

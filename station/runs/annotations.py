@@ -4,8 +4,6 @@ It stands beside the run in a text file of its own, one JSON object a line, whic
 file is not opened for it: a measurement stays what it was, byte for byte.
 """
 
-from __future__ import annotations
-
 import getpass
 import json
 import os

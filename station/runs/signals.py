@@ -4,8 +4,6 @@ The first signal ends what is being done, as soon as what must be done as a whol
 program at once, also where a library does not come back.
 """
 
-from __future__ import annotations
-
 import os
 import signal
 import socket

@@ -1,10 +1,8 @@
 """Choose time base and vertical scale from trial records, as an operator would with the knobs."""
 
-from __future__ import annotations
-
 import contextlib
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -167,6 +165,17 @@ def fit_channel(
     return vertical
 
 
+def look_at_channels(scope: TDS2014, settings: Callable[[str], ScopeInput]) -> dict[str, tuple[str, bool]]:
+    """In words what stands on every channel, and whether it is periodic; a channel gets a scale that fits."""
+    seen: dict[str, tuple[str, bool]] = {}
+    for name in scope.channels:
+        scope.set_channel(name, displayed=True, coupling="DC", probe=settings(name).probe)
+        search = _BeatSearch(scope, settings(name), ScreenShape())
+        search.fit_vertical(_QUICK_S)
+        seen |= search.seen_on((name,))
+    return seen
+
+
 class _BeatSearch:
     """The knobs as they stand while the beat is looked for."""
 
@@ -212,17 +221,22 @@ class _BeatSearch:
         """In words what stands on the channel, and on the others that are displayed, at three time bases."""
         channel, scope = self._settings.channel.upper(), self._scope
         others = [name for name in scope.channels if name != channel and scope.channel_settings(name).displayed]
-        told: dict[str, str] = {}
-        periodic: set[str] = set()
+        seen = self.seen_on((channel, *others))
+        hint = next(
+            (f" ({name} may be it: --channel {name})" for name in others if seen.get(name, ("", 0))[1]), ""
+        )
+        return f"{'; '.join(text for text, _ in seen.values())}{hint}"
+
+    def seen_on(self, names: tuple[str, ...]) -> dict[str, tuple[str, bool]]:
+        """In words what stands on these channels, at three time bases, and whether it is periodic."""
+        seen: dict[str, tuple[str, bool]] = {}
         for base in _LOOKED_AT:
             self.set_time_base(base)
             with contextlib.suppress(NoTrigger):
-                for name, waveform in zip((channel, *others), scope.acquire((channel, *others)), strict=True):
-                    if name not in periodic:
-                        told[name], repeats = signal_words(name, waveform)
-                        periodic |= {name} if repeats else set()
-        hint = next((f" ({name} may be it: --channel {name})" for name in others if name in periodic), "")
-        return f"{'; '.join(told.values())}{hint}"
+                for name, waveform in zip(names, self._scope.acquire(names), strict=True):
+                    if not seen.get(name, ("", False))[1]:
+                        seen[name] = signal_words(name, waveform)
+        return seen
 
     def found(self, frequency: float) -> KnobPositions:
         """Return the knobs as they stand now."""

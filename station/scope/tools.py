@@ -1,7 +1,5 @@
 """An oscilloscope opened by name, served to others, its screen grabbed, its signals and faults made."""
 
-from __future__ import annotations
-
 import io
 import math
 from collections.abc import Callable, Iterator, Sequence

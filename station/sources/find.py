@@ -1,7 +1,5 @@
 """From paths as a user gives them to sources: runs, memory cards, trees, and files of an oscilloscope."""
 
-from __future__ import annotations
-
 import hashlib
 import os
 from collections.abc import Iterable, Iterator
@@ -58,17 +56,17 @@ def _below(folder: Path, entered: set[str]) -> Iterator[Path]:
         path = Path(entry.path)
         try:
             is_folder = entry.is_dir()
-            found = _holds_run(path) if is_folder else entry.is_file() and _may_be_source(path)
+            found = (
+                _holds_run(path)
+                if is_folder
+                else entry.is_file() and (_is_waveform_file(path) or _is_run_file(path))
+            )
         except OSError:
             is_folder, found = False, True
         if found:
             yield path
         elif is_folder and (not entry.is_symlink() or first_time(entry.path, entered)):
             yield from _below(path, entered)
-
-
-def _may_be_source(file: Path) -> bool:
-    return _is_waveform_file(file) or _is_run_file(file)
 
 
 def first_time(path: str, entered: set[str]) -> bool:

@@ -1,7 +1,5 @@
 """Work in pieces, done by this process, by several or by a cluster: the same pieces in the same order."""
 
-from __future__ import annotations
-
 import itertools
 import logging
 import multiprocessing

@@ -47,6 +47,7 @@ def test_every_command_and_option_has_help() -> None:
 
 # an option has one meaning; where its words differ, it is the same thing of something else
 SAME_THING = {
+    "--table": "who turns the table; of `fog selfcal` the run on one",
     "--to": "where what is written goes",
     "--runs": "directory of runs",
     "--channel": "an input of the scope",

@@ -4,8 +4,6 @@ Imported only when it is used: Numba takes a second to load. The machine code is
 that cannot be written, in the user's cache folder.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

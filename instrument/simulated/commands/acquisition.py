@@ -3,8 +3,6 @@
 Source: programmer manual 071-1075-04, pp. 2-45 to 2-52 and 2-221 to 2-239.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial

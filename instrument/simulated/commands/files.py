@@ -3,8 +3,6 @@
 Only models with mass storage have them. Source: programmer manual 071-1075-04, chapter 2.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from datetime import datetime, timedelta
 

@@ -3,8 +3,6 @@
 Source: programmer manual 071-1075-04, pp. 2-53, 2-104, 2-186 to 2-198 and appendix B.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 

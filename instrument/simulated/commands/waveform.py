@@ -3,8 +3,6 @@
 Source: programmer manual 071-1075-04, pp. 2-84 to 2-91 and 2-240 to 2-260.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any

@@ -1,7 +1,5 @@
 """The picture of the screen in every format, and waveforms as the files that the scope saves."""
 
-from __future__ import annotations
-
 import io
 import itertools
 import math

@@ -4,8 +4,6 @@ Names are those of DOS: eight characters, a point and three, in capitals. Source
 file system commands and events 251 to 258.
 """
 
-from __future__ import annotations
-
 import fnmatch
 import re
 

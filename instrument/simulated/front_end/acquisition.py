@@ -6,8 +6,6 @@ that have passed, so it may depend on things that are commanded later (a rate ta
 Source: user manual 071-1064-00, pp. 14, 29, 78, 92, 101; programmer manual 071-1075-04, p. 2-239.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections import OrderedDict, deque

@@ -3,8 +3,6 @@
 Source: user manual 071-1064-00, pp. 101 and 157.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace

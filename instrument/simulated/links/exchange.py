@@ -5,8 +5,6 @@ that nobody has read (event 410), and reading without a question is an error (42
 answers leave at once. Source: programmer manual 071-1075-04, pp. 2-8, 3-6 and 3-23.
 """
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from collections.abc import Iterator

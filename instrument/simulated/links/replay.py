@@ -1,7 +1,5 @@
 """Serves what an instrument once answered: each message of a transcript gets the bytes that came then."""
 
-from __future__ import annotations
-
 import time
 from collections import defaultdict, deque
 from collections.abc import Sequence

@@ -5,8 +5,6 @@ break that makes a real unit answer `DCL` does not arrive; call `break_signal` i
 both sides when RS232:SOFTFlagging is on and the program opens the port with them.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """Serves a simulated instrument on byte streams: the loop, the terminals and the sockets that all share."""
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import os

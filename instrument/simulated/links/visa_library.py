@@ -5,8 +5,6 @@ message, and a read ends at the termination character, at its count, or in a tim
 bytes of an ASRL answer take ten bits each at RS232:BAUd.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Mapping

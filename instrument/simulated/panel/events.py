@@ -3,8 +3,6 @@
 Source: programmer manual 071-1075-04, tables 3-3 to 3-9.
 """
 
-from __future__ import annotations
-
 from collections import deque
 from enum import IntEnum
 

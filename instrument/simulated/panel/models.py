@@ -1,7 +1,5 @@
 """The models of the family: what differs between a TDS1002 and a TPS2014."""
 
-from __future__ import annotations
-
 import difflib
 import re
 from dataclasses import dataclass

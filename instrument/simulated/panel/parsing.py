@@ -3,8 +3,6 @@
 Source: programmer manual 071-1075-04, pp. 2-3 to 2-14.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Iterable

@@ -4,8 +4,6 @@ A row gives the header as the manual spells it, the kind of value, the factory v
 this setting departs from the rule. Source: programmer manual 071-1075-04, chapter 2 and appendix B.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Iterator, Sequence

@@ -14,6 +14,7 @@ from station.errors import CannotWrite
 from station.shell.options import (
     CHANNELS,
     RUN_PATH,
+    json_option,
     overrides,
     positive,
     report_option,
@@ -22,8 +23,9 @@ from station.shell.options import (
     shown_for,
     take_measurement,
     told_as_options,
+    unused_config_option,
 )
-from station.terminal import print_failure, print_json, say
+from station.terminal import print_failure, print_json, remark, say
 
 if TYPE_CHECKING:
     from station.runs.acquisition import Taken
@@ -205,8 +207,10 @@ Table [none]: """
 @click.option(
     "--to", type=click.Path(path_type=Path), default=Path("bench.toml"), metavar="FILE", help="Settings file."
 )
+@unused_config_option
+@json_option
 @click.pass_context
-def start(context: click.Context, resource: str | None, to: Path) -> int:
+def start(context: click.Context, resource: str | None, to: Path, as_json: bool) -> int:
     """Measure for the first time, step by step: find the oscilloscope, look at its channels, ask, measure.
 
     The answers are written to FILE [bench.toml], so the next time is `gyrolock measure --config bench.toml`.
@@ -217,19 +221,20 @@ def start(context: click.Context, resource: str | None, to: Path) -> int:
     from station.scope.autoset import look_at_channels
     from station.scope.tools import open_scope
 
+    tell = remark if as_json else say
     check_terminal()
     if to.exists():
         raise click.UsageError(
             f"{to} is there already: `gyrolock measure --config {to}`, or another name with --to"
         )
-    resource = resource or _found_instrument()
+    resource = resource or _found_instrument(tell)
     shipped = default_settings("bench").scope
     with open_scope(resource) as scope:
-        say(f"{scope.identity.text} on {resource}; looking at its channels...")
+        tell(f"{scope.identity.text} on {resource}; looking at its channels...")
         seen = look_at_channels(scope, lambda name: shipped.model_copy(update={"channel": name}))
     beats = [name for name, (text, periodic) in seen.items() if periodic and "?" not in text]
     for name, (text, _) in seen.items():
-        say(f"  {text}{' looks like a beat' if name in beats else ''}")
+        tell(f"  {text}{' looks like a beat' if name in beats else ''}")
     first = (beats or list(seen))[0]
     channel = _answered(f"Channel of the beat [{first}]: ", first, lambda text: text.upper() in seen).upper()
     factor = ask_number("Scale factor of the gyro in pulses per degree, from its data sheet: ", "no terminal")
@@ -250,19 +255,19 @@ def start(context: click.Context, resource: str | None, to: Path) -> int:
         write_page(to, "\n\n".join(lines) + "\n")
     except OSError as error:
         raise CannotWrite(f"{to}: {error.strerror}: another name with --to") from error
-    say(f"Written to {to}. The same again: gyrolock measure --config {to}")
-    return int(context.invoke(measure, config=to, unit=unit or None))
+    tell(f"Written to {to}. The same again: gyrolock measure --config {to}")
+    return int(context.invoke(measure, config=to, unit=unit or None, as_json=as_json))
 
 
-def _found_instrument() -> str:
+def _found_instrument(tell: Callable[[str], None]) -> str:
     """VISA name of the oscilloscope: the one that answers, or which of them."""
     from instrument import find_resources
 
-    say("Looking for oscilloscopes on serial ports, USB, GPIB and the network...")
+    tell("Looking for oscilloscopes on serial ports, USB, GPIB and the network...")
     found = find_resources()
     usable = [one for one in found if one.identity is not None]
     for one in found:
-        say(f"  {one.resource_name}  {one.identity.text if one.identity else one.problem}")
+        tell(f"  {one.resource_name}  {one.identity.text if one.identity else one.problem}")
     if not usable:
         raise LinkError(
             f"none of {len(found)} names is an oscilloscope that can be used: `gyrolock doctor` says what is "

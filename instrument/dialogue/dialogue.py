@@ -70,7 +70,7 @@ class Exchange(ABC):
         self.in_doubt = self.lost = False
         self.unread_events = False
         """Whether a question of the user's may have left events that are not about the next record."""
-        self._recovering = self._reconnecting = False
+        self._recovering = self.reconnecting = False
         self._answer_due = False
         self._mark: int | None = None
         self._patience = AnswerTimeout(link.pause_time, link.answer_time)
@@ -238,11 +238,11 @@ class Exchange(ABC):
     def _reconnect(self, lost: LinkError) -> None:
         """Open the link again, for as long as the persistence allows; the first error is raised in the end."""
         longest, clock = self.persistence.reconnect_for, self.persistence.clock
-        if self._reconnecting or self.lost or not longest:
+        if self.reconnecting or self.lost or not longest:
             raise lost
+        self.reconnecting = True
         self.persistence.tell(f"{lost}; trying to connect again for {longest:g} s")
         began, pause = clock.now(), _FIRST_PAUSE
-        self._reconnecting = True
         try:
             while not self._connected():
                 waited = clock.now() - began
@@ -252,7 +252,7 @@ class Exchange(ABC):
                 clock.sleep(pause)
                 pause = min(2 * pause, _LONGEST_PAUSE)
         finally:
-            self._reconnecting = False
+            self.reconnecting = False
         self.tally.reconnected += 1
         self.in_doubt = True
         self.persistence.tell(f"{self.identity.model} answers again after {clock.now() - began:.1f} s")

@@ -222,6 +222,11 @@ class TDS2014:
         return self._session.link_faults
 
     @property
+    def link_is_down(self) -> bool:
+        """Whether the link is lost, and tried again at this moment."""
+        return self._dialogue.reconnecting
+
+    @property
     def front_panel_found(self) -> FoundPanel | None:
         """The front panel as it will be put back; None without persistence: groups are then read as needed."""
         return self._session.front_panel_found

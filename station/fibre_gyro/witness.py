@@ -162,7 +162,7 @@ def _scope(settings: FogSettings, session: Acquisition) -> AbstractContextManage
         return open_scope(
             witness.resource,
             witness.baud_rate,
-            tell=session.progress.note,
+            tell=session.link_says,
             put_back=session.panel_to_put_back,
             same_as=session.scope_so_far,
         )

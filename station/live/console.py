@@ -31,18 +31,20 @@ class PlainLines:
         elif event.kind == "counting":
             self._last_said = time.monotonic()
         elif event.kind == "counted":
-            self._count(str(facts["what"]), int(facts["done"]), int(facts["total"]), float(facts["left_s"] or 0))
+            self._count(facts)
         elif event.kind == "waiting":
             self._say(f"{facts['what']}: {duration(facts.get('seconds') or 0)}", style="dim")
         elif line := campaign_line(event.kind, facts):
             self._say(line)
 
-    def _count(self, what: str, done: int, total: int, left_s: float) -> None:
-        now, finished = time.monotonic(), done == total
-        if not finished and now - self._last_said < _EVERY_S:
+    def _count(self, facts: Mapping[str, Any]) -> None:
+        now = time.monotonic()
+        if facts["done"] != facts["total"] and now - self._last_said < _EVERY_S:
             return
         self._last_said = now
-        self._say(f"{what} {done}/{total}" if finished else f"{what} {done}/{total}, {left_s:.0f} s left")
+        done, total = facts.get("all_done", facts["done"]), facts.get("all_total", facts["total"])
+        left = "" if done == total else f", {facts.get('all_left_s', facts['left_s']) or 0:.0f} s left"
+        self._say(f"{facts['what']} {done}/{total}{left}")
 
     def _say(self, text: str, style: str | None = None) -> None:
         with suppress(*_LOST):

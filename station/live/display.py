@@ -134,6 +134,12 @@ def picture(situation: Situation, width: int, height: int) -> RenderableType:
     """Return how things stand, within so many characters and lines."""
     parts: list[RenderableType] = [_head(situation, width)]
     taken = _LINES_BELOW
+    if situation.link.get("down"):  # before anything that stands still meanwhile
+        since = duration(age_s(str(situation.link.get("at"))))
+        last = f": {situation.notes[-1]}" if situation.notes else ""
+        text = Text(visible(f"LINK DOWN for {since}{last}"), style="bold red", no_wrap=True, overflow="ellipsis")
+        parts.append(text)
+        taken += 1
     if situation.steps:
         steps = _steps(situation)
         parts.append(steps)
@@ -241,21 +247,24 @@ def _numbers(situation: Situation, width: int) -> list[RenderableType]:
         )
     counted = situation.counted
     if counted.get("total"):
-        done, total = int(counted.get("done") or 0), int(counted["total"])
+        all_done, all_total = counted.get("all_done"), counted.get("all_total")
+        done, total = int(all_done or counted.get("done") or 0), int(all_total or counted["total"])
         cells = max(min(width - 46, 60), 8)
         filled = cells * min(done, total) // total
         bar = Text("━" * filled, style="green").append("─" * (cells - filled), style="dim")
-        left = counted.get("left_s")
-        said = f" {done}/{total}" + (f", {duration(left)} left" if left is not None and done < total else "")
+        left = counted.get("all_left_s", counted.get("left_s"))
+        going = left is not None and done < total and not situation.link.get("down")
+        said = f" {done}/{total}" + (f", {duration(left or 0)} left" if going else "")
         table.add_row(visible(str(counted["what"])), bar.append(said))
     if situation.waiting:
         table.add_row("waiting", _waiting(situation.waiting))
     if situation.conditions:
         known = (f"{name.replace('_', ' ')} {value}" for name, value in situation.conditions.items())
         table.add_row("conditions", visible(", ".join(known)))
-    if situation.run:
+    if situation.run and not situation.link.get("down"):
         link, clean = link_words(situation.link), not situation.link or situation.link.get("text") == "no faults"
         table.add_row("link", Text(link if clean else f"{link}, all recovered", style="" if clean else "yellow"))
+    if situation.run:
         table.add_row("saved", f"{situation.records} records, every one on the disk")
     if situation.notes:
         table.add_row("last", Text(visible(situation.notes[-1]), no_wrap=True, overflow="ellipsis"))

@@ -105,7 +105,7 @@ class Situation:
             self.groups[facts["group"]] = facts["running"]
 
     def _link(self, facts: dict[str, Any], at: str) -> None:
-        self.link = facts
+        self.link = {**facts, "at": at}
 
     def _result(self, facts: dict[str, Any], at: str) -> None:
         self.result = facts

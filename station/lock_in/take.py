@@ -4,7 +4,7 @@ What is measured is only saved here; numbers come from the saved run.
 """
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from typing import Any
@@ -26,7 +26,7 @@ from station.lock_in.rate_plan import (
     records_at_each,
     saved_plan,
 )
-from station.lock_in.settings import Settings, check_scale_factor
+from station.lock_in.settings import Settings, TableSettings, check_scale_factor
 from station.ring_laser.bench import Beats, beats_at, beats_of_other_sense, open_for
 from station.ring_laser.records import Bench, acquisition_records, set_up, take_record
 from station.runs.acquisition import Acquisition
@@ -40,6 +40,8 @@ _WHY_FAST = "This fast run finds the angle between gyro axis and table axis; the
 _WHY_OTHER_SENSE = "The other sense takes the earth's rotation out; then the slow rates follow."
 
 _FASTER, _CLEAR = 5.0, 3.0
+_STEEPEST_DEG = 89.5  # beyond this a tilt is likelier a rate that was typed wrongly
+_FAR = 10.0  # fast runs: a table that nobody has stated the highest rate of is not sent farther
 """A fast run in which the gyro is locked, or beats at less than so many expected lock-in rates, is repeated at so
 many times its rate: near lock-in the beat stops where the earth turns the other way, and tells little of the
 tilt."""
@@ -92,6 +94,7 @@ class _Taking:
         plan = saved_plan(self.settings, saved) if saved else self._first_plan()
         tried: list[RateStep] = []
         without_beat: dict[RateStep, str] = {}
+        self._count(plan)
         seen: PreliminaryLockIn | None = None
         while (step := next((step for step in plan.steps if step not in tried), None)) is not None:
             tried.append(step)
@@ -109,10 +112,19 @@ class _Taking:
                 without_beat[step] = f"{step.sense * step.over_lock_in:+g} expected lock-in rates: {error}"
                 self.progress.note(f"no record at {without_beat[step]}")
                 self.writer.save_facts({"rates_without_beat": list(without_beat.values())})
+                self._count(plan, without_beat)
             if step.sense == 1 and not step.again and self.settings.rates_are_chosen:
                 plan = self._look_again(plan, seen, tried, list(without_beat))
+                self._count(plan, without_beat)
         if len(without_beat) == len({step.setting for step in tried}):
             raise NoUsableSignal(next(iter(without_beat.values())))
+
+    def _count(self, plan: RatePlan, without_beat: Iterable[RateStep] = ()) -> None:
+        """Tell how many records of the whole plan there are, and are to come."""
+        silent = {step.setting for step in without_beat}
+        steps = {step.setting: step for step in plan.steps if step.setting not in silent}
+        total = records_at_each(self.settings, plan) * len(steps)
+        self.progress.of_all(total, sum(len(self._taken_at(step)) for step in steps.values()))
 
     def _first_plan(self) -> RatePlan:
         """The plan for the expected lock-in rate, or for another one where the fast run shows it already."""
@@ -180,6 +192,13 @@ class _Taking:
             self._take_records("tilt", f"tilt {sense * fast:+g}", channels, len(there), count, rate)
         tilt = fast_run_tilt(self.session.so_far(), settings)
         self.progress.note(f"tilt {tilt.tilt_deg:.3f}°")
+        if tilt.tilt_deg > _STEEPEST_DEG and not settings.simulated and settings.table.known_tilt_deg is None:
+            share = math.cos(math.radians(tilt.tilt_deg))
+            raise NoUsableSignal(
+                f"the fast run gives a tilt of {tilt.tilt_deg:.3f}°: the gyro would see {100 * share:.2g} % of "
+                "the table's rate, and the table had to turn dangerously fast. Was the rate typed with its "
+                "sign, is the beat that of the gyro? State table.known_tilt_deg if the axis lies so"
+            )
         return tilt.tilt_deg
 
     def _fast_beat(self, fast: float) -> tuple[float, KnobPositions]:
@@ -222,6 +241,13 @@ class _Taking:
             wanted = there[0].conditions["table_rate_dps"] if there else self._table_rate(step)
             if abs(wanted) > settings.table.highest_rate_dps:
                 raise NoUsableSignal(f"the table turns at most {settings.table.highest_rate_dps:g} deg/s")
+            unstated = settings.table.highest_rate_dps == TableSettings.model_fields["highest_rate_dps"].default
+            if unstated and not settings.simulated and abs(wanted) > _FAR * settings.table.fast_rate_dps:
+                fast = settings.table.fast_rate_dps
+                raise NoUsableSignal(
+                    f"{wanted:.4g} deg/s is far above the fast run of {fast:g} deg/s: state "
+                    "table.highest_rate_dps if the table may turn so"
+                )
             self.progress.note(f"slow rate {wanted:.4g} deg/s on the table")
             why = f"Here lock-in shows in the beat. Records that are taken then: {count - len(there)}."
             table_rate = self.bench.turn_table(wanted, settings.table.settle_s, why)

@@ -80,7 +80,7 @@ def open_for(session: Acquisition, settings: BenchSettings) -> Bench:
         open_bench(
             settings,
             times_resumed=session.times_resumed,
-            tell=session.progress.note,
+            tell=session.link_says,
             put_back=session.panel_to_put_back,
             same_as=session.scope_so_far,
         )

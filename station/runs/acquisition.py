@@ -66,7 +66,7 @@ class Acquisition:
         self._acknowledge = acknowledge
         self._see = see
         self._watcher: Watcher | None = None
-        self._link_told: dict[str, int] = {}
+        self._link_told: dict[str, object] = {}
         self.resumed = resumed
         self.writer: RunWriter | None = None
         self.facts: dict[str, Any] = dict(facts)
@@ -165,10 +165,15 @@ class Acquisition:
             self._watcher([record for _, record in records])
         self._tell_link()
 
+    def link_says(self, text: str) -> None:
+        """Tell what the link says of itself, and whether it is down."""
+        self.progress.note(text)
+        self._tell_link()
+
     def _tell_link(self) -> None:
         if self._scope is None:
             return
-        now = asdict(self._scope.link_faults)
+        now = {**asdict(self._scope.link_faults), "down": self._scope.link_is_down}
         if now != self._link_told:
             self._link_told = now
             self.events.emit("link", **now, text=str(self._scope.link_faults))

@@ -29,7 +29,8 @@ class Progress:
                 events.read_by(PlainLines())
         self.events = events
         self._what, self._total, self._done = "", 0, 0
-        self._began = 0.0
+        self._began = self._all_began = 0.0
+        self._all_total = self._all_done = self._all_before = 0
         self._ended = False
 
     def note(self, text: str) -> None:
@@ -42,11 +43,24 @@ class Progress:
         self._began = time.monotonic()
         self.events.emit("counting", what=what, total=total)
 
+    def of_all(self, total: int, done: int) -> None:
+        """Say how many the whole run has, and how many of them are done, where it counts them in parts."""
+        if not self._all_total:
+            self._all_before, self._all_done, self._all_began = done, done, time.monotonic()
+        self._all_total = total
+
     def advance(self) -> None:
         """Count one more."""
         self._done += 1
-        left = (time.monotonic() - self._began) / self._done * max(self._total - self._done, 0)
-        self.events.emit("counted", what=self._what, done=self._done, total=self._total, left_s=round(left, 3))
+        now = time.monotonic()
+        left = (now - self._began) / self._done * max(self._total - self._done, 0)
+        facts = {"what": self._what, "done": self._done, "total": self._total, "left_s": round(left, 3)}
+        if self._all_total:
+            self._all_done += 1
+            each = (now - self._all_began) / (self._all_done - self._all_before)
+            left = each * max(self._all_total - self._all_done, 0)
+            facts |= {"all_done": self._all_done, "all_total": self._all_total, "all_left_s": round(left, 3)}
+        self.events.emit("counted", **facts)
 
     def end(self, exit_code: int, message: str = "") -> None:
         """Say how the command ends; the first time counts."""

@@ -134,6 +134,22 @@ def test_a_rate_at_which_the_gyro_is_locked_is_told_and_the_others_go_on(tmp_pat
     assert led.run.results["lock_in_rate_dps"] == pytest.approx(0.04, rel=0.02)
 
 
+def test_a_tilt_that_only_a_wrong_rate_gives_is_refused(tmp_path: Path) -> None:
+    """An axis at 89.8 deg sees 0.3 % of the table's rate: no slow rate is asked for, unless the tilt is stated."""
+    led = led_by_an_operator(tmp_path, "records = 2\ntilt_records = 1", tilt_deg=89.8)
+    assert led.code == 4
+    assert "tilt of 89.8" in led.said and "known_tilt_deg" in led.said
+    assert led.asked == [50.0, -50.0]
+
+
+def test_a_rate_far_above_the_fast_run_is_refused_unless_it_is_stated(tmp_path: Path) -> None:
+    """At 89.4 deg 400 lock-in rates of 0.01 deg/s are 382 deg/s of the table, 600 are 573."""
+    told = "records = 1\ntilt_records = 1\nboth_senses = false\nrates_over_lock_in = [400, 600]"
+    led = led_by_an_operator(tmp_path, told, tilt_deg=89.4)
+    assert len(led.asked) == 3 and led.asked[2] == pytest.approx(382, rel=0.01)
+    assert "far above the fast run" in led.said and "table.highest_rate_dps" in led.said
+
+
 class Careless:
     """An operator who turns the simulated table, half as fast as was asked at the first slow rate."""
 

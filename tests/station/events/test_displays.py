@@ -76,6 +76,21 @@ def test_the_picture_fits_its_terminal_and_says_everything(width: int) -> None:
     assert "\x1b" not in text
 
 
+@pytest.mark.parametrize("width", [40, 80, 200])
+def test_while_the_link_is_down_the_picture_says_so_first(width: int) -> None:
+    situation, events = busy(), Events()
+    events.read_by(situation.take)
+    events.emit("note", text="no answer; trying to connect again for 90 s")
+    events.emit("link", repeated=2, reconnected=1, set_again=0, down=True, text="1 reconnection")
+    lines = shown(situation, width)
+    assert lines[1].startswith("LINK DOWN for 0 s")
+    assert max(map(len, lines)) <= width and len(lines) <= 40
+    text = " ".join(" ".join(lines).split())
+    assert " left" not in text and "recovered" not in text
+    events.emit("link", repeated=2, reconnected=2, set_again=0, down=False, text="2 reconnections")
+    assert not any("DOWN" in line for line in shown(situation, width))
+
+
 def test_a_situation_of_nothing_can_be_shown() -> None:
     assert shown(Situation(), 80) != []
 

@@ -8,6 +8,7 @@ import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -166,7 +167,11 @@ class _Conducting:
         title = measurement(step.measurement).title
         events.emit("step_begun", step=step.key, number=number, of=of, measurement=step.measurement, title=title)
         journal.write("step_begun", key=step.key)
-        begun, clock = utc_now(), time.monotonic()
+        clock = time.monotonic()
+        begun, attempts = utc_now(), 0
+        if self.before is not None and (before := self.before.begun.get(step.key)):  # it has a first part
+            last = self.before.steps.get(step.key)
+            begun, attempts = before[0], len(before) if last is None else last.attempts
         try:
             outcome = carry_out(
                 step,
@@ -189,7 +194,11 @@ class _Conducting:
                 "step_ended", step=step.key, number=number, verdict=ABORTED, run=None, message=stopped.message
             )
             raise
-        outcome = outcome.lasting(time.monotonic() - clock)
+        seconds = time.monotonic() - clock
+        if attempts:
+            since = datetime.fromisoformat(utc_now()) - datetime.fromisoformat(begun)
+            seconds = max(seconds, since.total_seconds())
+        outcome = replace(outcome, elapsed_s=round(seconds, 3), attempts=outcome.attempts + attempts)
         self.done[step.key] = outcome
         with undisturbed():
             journal.write("step_ended", **step_as_json(outcome, journal.directory))

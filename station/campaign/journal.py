@@ -15,7 +15,7 @@ import time
 import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from datetime import date
 from pathlib import Path
 from typing import Any, Self
@@ -130,13 +130,9 @@ class StepOutcome:
     remarks: tuple[str, ...] = ()
     started_at: str = ""  # UTC, ISO 8601
     ended_at: str = ""
-    elapsed_s: float = 0.0  # by a clock that nobody sets; of the last session
+    elapsed_s: float = 0.0  # by a clock that nobody sets; of one that was gone on with since it was first begun
     attempts: int = 1  # how often it was begun anew
     conditions: Mapping[str, float] = field(default_factory=dict)  # what the controllers showed at its beginning
-
-    def lasting(self, seconds: float) -> StepOutcome:
-        """Return it with the time that it took."""
-        return replace(self, elapsed_s=round(seconds, 3))
 
     @property
     def message(self) -> str:
@@ -289,7 +285,7 @@ class Written:
     ended_at: str  # empty where the program was killed
     failure: Failure | None  # what ended the last session before its time
     steps: Mapping[str, StepOutcome]  # steps that have ended, by key; of one that was done again the last
-    begun: tuple[str, ...]  # keys of steps that were begun
+    begun: Mapping[str, tuple[str, ...]]  # when each step was begun, by key: again in each session
 
     @property
     def left(self) -> tuple[PlannedStep, ...]:
@@ -335,6 +331,10 @@ def read_journal(directory: Path) -> Written:
         by_key = {step.key: step for step in plan.steps}
         ended = [line for line in lines if line["kind"] == "step_ended" and line["key"] in by_key]
         steps = {line["key"]: _step_from_json(line, by_key[line["key"]], directory) for line in ended}
+        begun: dict[str, tuple[str, ...]] = {}
+        for line in lines:
+            if line["kind"] == "step_begun":
+                begun[line["key"]] = (*begun.get(line["key"], ()), line["at"])
         last = lines[-1]
         over = last["kind"] == "ended"
         failure = Failure(**last["failure"]) if over and last.get("failure") else None
@@ -348,7 +348,7 @@ def read_journal(directory: Path) -> Written:
             ended_at=last["at"] if over else "",
             failure=failure,
             steps=steps,
-            begun=tuple(line["key"] for line in lines if line["kind"] == "step_begun"),
+            begun=begun,
         )
     except (StopIteration, KeyError, TypeError, ValueError) as error:
         raise RunError(f"{path}: the journal of this test is damaged ({type(error).__name__}: {error})") from None

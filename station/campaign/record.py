@@ -85,6 +85,9 @@ def record_document(outcome: CampaignOutcome, evaluated: Mapping[str, Evaluated]
     """Return the record of a test as plain JSON."""
     plan = outcome.plan
     settings = plain(plan.settings)
+    seen: Mapping[str, Any] = next(
+        (found for one in outcome.steps if (found := one.document.get("instrument"))), {}
+    )
     document = {
         "schema": {"name": NAME, "version": VERSION},
         "unit": {"serial": plan.unit, "type": plan.unit_type, "is_reference": plan.is_reference},
@@ -108,7 +111,10 @@ def record_document(outcome: CampaignOutcome, evaluated: Mapping[str, Evaluated]
             "settings": settings,
             "settings_sha256": _sum_of(settings),
         },
-        "instruments": [_instrument(card, outcome.started_at) for card in plan.instruments],
+        "instruments": [
+            _instrument(card, outcome.started_at, seen if card.role == "oscilloscope" else {})
+            for card in plan.instruments
+        ],
         "software": provenance(),
         "steps": [_step(one, outcome.directory, evaluated.get(one.step.key)) for one in outcome.steps],
         "not_begun": _not_begun(outcome),
@@ -123,13 +129,14 @@ def _sum_of(value: object) -> str:
     return hashlib.sha256(canonical(value)).hexdigest()
 
 
-def _instrument(card: InstrumentCard, at: str) -> dict[str, Any]:
+def _instrument(card: InstrumentCard, at: str, seen: Mapping[str, Any]) -> dict[str, Any]:
+    """An instrument as the campaign states it, and where that says nothing as it answered."""
     due = card.calibration_due
     return {
         "role": card.role,
-        "model": card.model or None,
-        "serial": card.serial or None,
-        "firmware": card.firmware or None,
+        "model": card.model or seen.get("model"),
+        "serial": card.serial or seen.get("serial"),
+        "firmware": card.firmware or seen.get("firmware"),
         "calibrated_on": _day(card.calibrated_on),
         "calibration_due": _day(due),
         "calibration_valid": None if due is None or not at else at[:10] <= due.isoformat(),
@@ -387,12 +394,12 @@ def limits_csv(record: Mapping[str, Any]) -> str:
     rows = []
     for step in record["steps"]:
         about = {**head, "step": step["key"], "measurement": step["measurement"]}
-        end = {"message": step["message"], "run": (step["run"] or {}).get("path")}
+        run = {"run": (step["run"] or {}).get("path")}
         for limit in step["limits"]:
-            told = {name: limit[name] for name in _LIMITS}
-            rows.append({**about, **told, "verdict": limit["verdict"], **end})
+            told = {name: limit[name] for name in (*_LIMITS, "verdict")}
+            rows.append({**about, **told, "message": limit["sentence"], **run})
         if not step["limits"]:
-            rows.append({**about, **dict.fromkeys(_LIMITS), "verdict": step["verdict"], **end})
+            rows.append({**about, **{name: step.get(name) for name in (*_LIMITS, "verdict", "message")}, **run})
     names = [*head, "step", "measurement", *_LIMITS, "verdict", "message", "run"]
     return as_csv(names, rows)
 

@@ -46,6 +46,17 @@ if TYPE_CHECKING:
 _METHOD = ("scale_factor", "input_rate", "relation")
 
 
+def _numbers(context: click.Context, option: click.Parameter, value: str | None) -> tuple[range, ...]:
+    """The records that are meant: ``23-30,41``."""
+    found = []
+    for part in (value or "").split(",") if value is not None else ():
+        first, _, last = part.strip().partition("-")
+        if not first.strip().isdecimal() or not (last or first).strip().isdecimal():
+            raise click.BadParameter(f"{value!r} is no list of records such as 23-30,41")
+        found.append(range(int(first), int(last or first) + 1))
+    return tuple(found)
+
+
 @click.command("analyze")
 @click.argument("paths", nargs=-1, required=True, type=RUN, metavar="PATH...")
 @click.option(
@@ -92,6 +103,9 @@ _METHOD = ("scale_factor", "input_rate", "relation")
     metavar="ADDRESS",
     help="Workers of a Dask scheduler, tcp://host:8786, or `local`, share the work.",
 )
+@click.option(
+    "--exclude", callback=_numbers, metavar="N-M,...", help="Leave these records of a run out, by their numbers."
+)
 @click.option("--jsonl", is_flag=True, help="One JSON object a record, one a line, on stdout.")
 @display_options
 @config_option
@@ -109,12 +123,14 @@ def command(paths: tuple[str, ...], config: Path | None, **given: Any) -> int:
     its [limits], replace what the run holds of them, for a channel that was measured later; the rest stays. Of the
     bench that files come from nothing is known but what FILE states.
     """
-    _check(given)
+    _check(given, paths)
     from station.sources.find import find_sources
 
     with shown(given, command="analyze") as progress, _workers(given) as workers:
         sources = list(find_sources(paths))
-        analysis = Analysis(sources, {name: given[name] for name in _METHOD}, config, workers, progress)
+        analysis = Analysis(
+            sources, {name: given[name] for name in _METHOD}, config, workers, progress, given["exclude"]
+        )
         answer = AnalyzeAnswer(given["as_json"], given["jsonl"])
         if given["table"] is not None:
             return analysis.to_table(given["table"], answer)
@@ -123,7 +139,7 @@ def command(paths: tuple[str, ...], config: Path | None, **given: Any) -> int:
         return analysis.each(answer)
 
 
-def _check(given: Mapping[str, Any]) -> None:
+def _check(given: Mapping[str, Any], paths: Sequence[str]) -> None:
     """Refuse options that do not go together, before anything is read."""
     if given["jsonl"] and given["as_json"]:
         raise click.UsageError("--json and --jsonl exclude each other")
@@ -131,6 +147,8 @@ def _check(given: Mapping[str, Any]) -> None:
         raise click.UsageError("--to writes one row a record: without --combine and --jsonl")
     if not given["combine"] and (only := [one for one in ("rates_from", "channel", "report") if given[one]]):
         raise click.UsageError(f"--{only[0].replace('_', '-')} needs --combine")
+    if given["exclude"] and (given["combine"] or given["table"] is not None or len(paths) > 1):
+        raise click.UsageError("--exclude is for one run: name it alone, without --combine and --to")
     if given["cluster"] and given["processes"] > 1:
         raise click.UsageError("--cluster and --processes exclude each other")
 
@@ -167,6 +185,7 @@ class Analysis:
     config: Path | None  # settings file: what is known of the bench now
     workers: Workers
     progress: Progress
+    exclude: tuple[range, ...] = ()  # numbers of records
 
     def to_table(self, table: Path, answer: AnalyzeAnswer) -> int:
         """Put one row for each record into a table."""
@@ -286,7 +305,12 @@ class Analysis:
         try:
             if is_run(source):
                 analyzed = evaluate_saved(
-                    source, self.workers, self.progress, config=self.config, choices=self.choices
+                    source,
+                    self.workers,
+                    self.progress,
+                    config=self.config,
+                    choices=self.choices,
+                    exclude=self.exclude,
                 )
             else:
                 analyzed = analyze_file(source, self.config, self.choices)

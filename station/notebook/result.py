@@ -21,6 +21,7 @@ from station.datasets.rows import package
 from station.errors import UsageError
 from station.lock_in.evaluate import LockInEvaluation
 from station.reanalysis.combine import AnalyzedFiles
+from station.results.quantity import Value, headline_values
 from station.results.result import Rows
 from station.shell.finish import Evaluated
 
@@ -50,6 +51,25 @@ class Result:
         """``"PASS"``, ``"FAIL"`` or, without limits, ``None``."""
         verdict: str | None = self.document.get("verdict")
         return verdict
+
+    @property
+    def value(self) -> float:
+        """The number that lists show first, in the unit of its key; nan where there is none."""
+        return self._headline.value
+
+    @property
+    def u(self) -> float:
+        """Its standard uncertainty."""
+        return self._headline.u
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """Its 95 % interval, all uncertainties included."""
+        return self._headline.low_95, self._headline.high_95
+
+    @property
+    def _headline(self) -> Value:
+        return next(iter(headline_values(self._said.document, self._said.quantities)), Value(math.nan))
 
     @property
     def problem(self) -> str:

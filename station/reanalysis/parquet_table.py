@@ -5,9 +5,6 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from station.datasets.rows import package
 from station.errors import CannotWrite, RunError
 from station.reanalysis.table_file import (
@@ -76,7 +73,7 @@ class Parquet(TableFile):
     def packed(parts: Sequence[TableRows]) -> bytes:
         """Columns as Arrow lays them out in memory; see `TableFile`."""
         columns = joined_columns(parts)
-        arrays = [_texts(columns[name]) if name in TEXTS else _numbers(columns[name], name) for name in ORDER]
+        arrays = [_array(columns[name], _KINDS[name]) for name in ORDER]
         return bytes(pyarrow.RecordBatch.from_arrays(arrays, schema=SCHEMA).serialize())
 
     def add(self, packed: bytes) -> None:
@@ -135,34 +132,9 @@ class Parquet(TableFile):
             ) from None
 
 
-def _texts(column: Column) -> Any:
-    """Texts as Arrow lays them out: all of them one behind the other, and where each begins."""
-    if isinstance(column, Repeated) and column.value is None:
-        return pyarrow.nulls(len(column), pyarrow.string())
+def _array(column: Column, kind: Any) -> Any:
+    """A column as Arrow has it; nan and None: not known."""
     if isinstance(column, Repeated):
-        text = column.value.encode()
-        joined, ends = text * len(column), np.arange(len(column) + 1, dtype=np.int32) * np.int32(len(text))
-        known = None
-    else:
-        encoded = [b"" if text is None else text.encode() for text in column]
-        joined, ends = b"".join(encoded), np.cumsum([0, *map(len, encoded)], dtype=np.int32)
-        known = None if None not in column else _bits(np.array([text is not None for text in column]))
-    buffers = [known, pyarrow.py_buffer(ends), pyarrow.py_buffer(joined)]
-    return pyarrow.Array.from_buffers(pyarrow.string(), len(column), buffers)
-
-
-def _numbers(column: Column, name: str) -> Any:
-    """Numbers as Arrow lays them out; nan: not known."""
-    kind = np.int64 if name in INTEGERS else np.float64
-    if isinstance(column, Repeated):
-        column = np.full(len(column), np.nan if column.value is None else column.value)
-    elif not isinstance(column, np.ndarray):
-        column = np.array([np.nan if value is None else value for value in column])
-    values = np.ascontiguousarray(column, kind)
-    unknown = np.isnan(values) if kind is np.float64 else np.zeros(0, dtype=bool)
-    buffers = [_bits(~unknown) if unknown.any() else None, pyarrow.py_buffer(values)]
-    return pyarrow.Array.from_buffers(_KINDS[name], values.size, buffers)
-
-
-def _bits(known: NDArray[np.bool_]) -> Any:
-    return pyarrow.py_buffer(np.packbits(known, bitorder="little"))
+        value = None if column.value != column.value else column.value
+        return pyarrow.repeat(pyarrow.scalar(value, kind), len(column))
+    return pyarrow.array(column, kind, from_pandas=True)

@@ -174,10 +174,23 @@ def evaluate_run(
 
 
 def evaluate_saved(
-    path: Path | Source, workers: Workers, progress: Progress, *, config: Path | None, choices: Mapping[str, Any]
+    path: Path | Source,
+    workers: Workers,
+    progress: Progress,
+    *,
+    config: Path | None,
+    choices: Mapping[str, Any],
+    exclude: Sequence[range] = (),
 ) -> Evaluated:
     """Evaluate a run by its path, or in a data set; a long one piece by piece, which saves memory."""
-    return evaluate_run(read_as_needed(open_source(path)), workers, progress, config=config, choices=choices)
+    run = read_as_needed(open_source(path))
+    if exclude:
+        records = whole(source_of(run)).records
+        run = replace(run, records=tuple(one for one in records if not any(one.number in out for out in exclude)))
+        if len(run.records) == len(records):
+            raise UsageError(f"{path}: --exclude names none of its {len(records)} records")
+        remark(f"{path}: {len(records) - len(run.records)} of {len(records)} records left out as asked")
+    return evaluate_run(run, workers, progress, config=config, choices=choices)
 
 
 def _how(

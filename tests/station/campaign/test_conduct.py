@@ -5,6 +5,7 @@ import os
 import subprocess
 import sys
 from collections.abc import Callable
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -167,6 +168,12 @@ def test_a_killed_test_goes_on_at_the_same_step(campaign: Write, capsys: pytest.
     assert document["verdict"] == "FAIL" and len(document["resumed_at"]) == 1
     assert [step["verdict"] for step in document["steps"]] == ["FAIL", "PASS"]
     assert document["steps"][0]["run"] == str(cut.steps[0].run)
+    # what the killed session did of the second step belongs to it
+    first, second = json.loads(Path(document["record"]).read_text())["steps"]
+    (begun, _) = read_journal(directory).begun[second["key"]]
+    assert (first["attempts"], second["attempts"], second["started_at"]) == (1, 2, begun)
+    lasted = datetime.fromisoformat(second["ended_at"]) - datetime.fromisoformat(begun)
+    assert second["elapsed_s"] == pytest.approx(lasted.total_seconds(), abs=2.0)
     second = open_run(Path(document["steps"][1]["run"]))
     assert len(second.facts.resumed_at) == 1 and len(second.records) == 4
     assert Path(document["record"]).is_file()

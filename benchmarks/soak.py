@@ -198,6 +198,8 @@ class Station:
             found = sorted(self._directory.glob("*/run.sqlite"))
             if not found:
                 continue
+            run = None
+            gc.collect()  # what a killed program held is gone with it
             run = open_run(found[-1])
             self.outcome.resumed += run.facts.get("outcome") != TAKEN
         return run

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from contextlib import suppress
 from dataclasses import dataclass
@@ -49,11 +50,10 @@ _METHOD = ("scale_factor", "input_rate", "relation")
 def _numbers(context: click.Context, option: click.Parameter, value: str | None) -> tuple[range, ...]:
     """The records that are meant: ``23-30,41``."""
     found = []
-    for part in (value or "").split(",") if value is not None else ():
-        first, _, last = part.strip().partition("-")
-        if not first.strip().isdecimal() or not (last or first).strip().isdecimal():
+    for part in [] if value is None else value.split(","):
+        if (meant := re.fullmatch(r"\s*(\d+)(?:-(\d+))?\s*", part)) is None:
             raise click.BadParameter(f"{value!r} is no list of records such as 23-30,41")
-        found.append(range(int(first), int(last or first) + 1))
+        found.append(range(int(meant[1]), int(meant[2] or meant[1]) + 1))
     return tuple(found)
 
 

@@ -155,3 +155,33 @@ def test_a_run_without_records() -> None:
 def test_no_run(tmp_path: Path) -> None:
     with pytest.raises(RunError, match="holds no run"):
         gyrolock.open_run(tmp_path)
+
+
+@pytest.mark.parametrize("name", ["single", "several"])
+def test_the_number_that_lists_show_is_the_results_own(name: str) -> None:
+    result = gyrolock.open_run(GOLDEN / f"{name}.sqlite").result()
+    assert (result.value, result.u) == (result.lock_in_rate_dps, result.lock_in_rate_u_dps)
+    assert result.interval == (result.lock_in_rate_low_95_dps, result.lock_in_rate_high_95_dps)
+    assert result.interval[0] < result.value < result.interval[1]
+
+
+def test_records_are_left_out_as_asked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """As if they had never been taken: against a copy of the run without them."""
+    whole = gyrolock.open_run(GOLDEN / "single.sqlite")
+    without = tmp_path / "run.sqlite"
+    without.write_bytes((GOLDEN / "single.sqlite").read_bytes())
+    with closing(sqlite3.connect(without)) as db, db:
+        out = [number for (number,) in db.execute("SELECT number FROM record WHERE purpose = 'measure'")][1:3]
+        db.execute(f"DELETE FROM record WHERE number IN ({out[0]}, {out[1]})")
+    assert main(["analyze", str(GOLDEN / "single.sqlite"), "--exclude", f"{out[0]}-{out[1]}", "--json"]) == 0
+    captured = capsys.readouterr()
+    found, then = json.loads(captured.out), gyrolock.open_run(without).result().document
+    assert "2 of" in captured.err and "left out as asked" in captured.err
+    assert found["records"] == then["records"] == whole.result().records - 2
+    assert found["lock_in_rate_dps"] == then["lock_in_rate_dps"] != whole.result().lock_in_rate_dps
+
+
+@pytest.mark.parametrize("given", ["a", "5-", "-", "1-2-3", "999", ""])
+def test_records_that_cannot_be_meant_are_refused(given: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["analyze", str(GOLDEN / "single.sqlite"), "--exclude", given]) == 2
+    assert "exclude" in capsys.readouterr().err

@@ -61,6 +61,7 @@ def test_it_says_everything(tested: TestedUnit) -> None:
     )
     [scope] = record["instruments"]
     assert (scope["serial"], scope["calibration_valid"]) == ("C012345", False)
+    assert scope["firmware"] == tested.record["steps"][0]["result"]["instrument"]["firmware"]  # nobody states it
     [step] = record["steps"]
     run = tested.outcome.directory / step["run"]["path"]
     assert step["run"]["sha256"] == file_sha256(run)
@@ -121,6 +122,8 @@ def test_tables_hold_every_limit_and_every_record(tested: TestedUnit) -> None:
     ]
     assert float(rows[0]["value"]) == tested.record["steps"][0]["limits"][0]["value"]
     assert rows[0]["serial"] == "SN <7> & Söhne"
+    sentences = [one["sentence"] for one in tested.record["steps"][0]["limits"]]
+    assert [row["message"] for row in rows] == sentences and len(set(sentences)) == 2
     records = list(csv.DictReader(io.StringIO(tested.files.records.read_text(encoding="utf-8"))))
     assert [row["record"] for row in records] == ["1", "2"]
 

@@ -4,8 +4,6 @@ Each is a file in a directory that all users of the computer share, locked as lo
 decides; what stands in the file says who has it. Another user's file can be locked, too, but not written.
 """
 
-from __future__ import annotations
-
 import errno
 import getpass
 import importlib.util
@@ -23,6 +21,7 @@ from contextlib import suppress
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Self
 
 from pyvisa import rname
 
@@ -58,7 +57,7 @@ class Claim:
     def __init__(self, path: Path | None) -> None:
         self._path = path
 
-    def __enter__(self) -> Claim:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:

@@ -401,7 +401,8 @@ def runs_table(entries: Sequence[Entry], directory: Path) -> TextTable:
             entry.verdict or "",
             _mark(entry),
             _shortened(" ".join(entry.tags), 2 * _SHORTEST_NOTE),
-            _last_word(entry),
+            entry.problem
+            or next((_signed(one) for one in reversed(entry.remarks) if one.get("note")), entry.note or ""),
             _short_name(entry, directory),
         )
         for entry in entries
@@ -454,12 +455,6 @@ def _mark(entry: Entry) -> str:
 
 def _signed(remark: Mapping[str, Any]) -> str:
     return f"{str(remark['at'])[:10]} {remark['by']}: {remark['note']}"
-
-
-def _last_word(entry: Entry) -> str:
-    """What is wrong with it, or the newest note with its day and author, or the operator's own."""
-    notes = [_signed(one) for one in entry.remarks if one.get("note")]
-    return entry.problem or next(reversed(notes), entry.note or "")
 
 
 def _shortened(text: str, longest: int) -> str:
@@ -528,15 +523,9 @@ def series_of(entries: Sequence[Entry]) -> Series:
     for entry in entries:
         for value in entry.values:
             if value.value == value.value and entry.started_at:
-                label = _label(value)
+                label = f"{value.quantity.words} {value.of}".strip() + (f"\n{value.unit}" if value.unit else "")
                 unit = entry.unit or entry.gyro or "no unit named"
                 found.setdefault(label, {}).setdefault(unit, []).append((entry, value))
     if not found:
         raise NoUsableSignal("none of the runs has a result that could be drawn")
     return found
-
-
-def _label(value: Value) -> str:
-    """Name of an axis: words of the key, what it is of, unit."""
-    words = value.quantity.words
-    return f"{words} {value.of}".strip() + (f"\n{value.unit}" if value.unit else "")

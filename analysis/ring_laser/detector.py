@@ -5,12 +5,11 @@ is multiplied by the response at n f. The rate changes little in one period, so 
 grid of rates once and interpolated; without a filter the signal is computed sample by sample.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import Self
 
 import numpy as np
 from numpy.polynomial import chebyshev
@@ -59,7 +58,7 @@ class Detector:
         """Whether anything in it depends on the frequency."""
         return self.low_pass_hz > 0 or self.ac_corner_hz > 0 or self.coupling_hz > 0
 
-    def without_filters(self) -> Detector:
+    def without_filters(self) -> Self:
         """The same detector with an amplifier for all frequencies."""
         return replace(self, low_pass_hz=0.0, ac_corner_hz=0.0, coupling_hz=0.0) if self.filtered else self
 

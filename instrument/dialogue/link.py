@@ -10,15 +10,13 @@ answer has a limit as a whole too, so that one that trickles in byte by byte end
 passed only when a look behind it found nothing: a program that was not given the processor misses no answer.
 """
 
-from __future__ import annotations
-
 import contextlib
 import math
 import select
 import socket
 import time
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, Self
 
 import pyvisa
 from pyvisa import constants
@@ -110,7 +108,7 @@ class Link:
             self.close()
             raise
 
-    def __enter__(self) -> Link:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:

@@ -4,14 +4,12 @@ Every time limit is made of named ingredients: the bytes of a frame at the baud 
 the time that the gyro takes to answer (from its format), and the delay of the host.
 """
 
-from __future__ import annotations
-
 import contextlib
 import math
 import time
 from collections.abc import Callable, Iterator
 from types import TracebackType
-from typing import Any
+from typing import Any, Self
 
 import serial
 
@@ -70,7 +68,7 @@ class FibreGyroLink:
             self._claim.release()
             raise
 
-    def __enter__(self) -> FibreGyroLink:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(

@@ -797,10 +797,8 @@ def write_gyro_log(path: str | os.PathLike[str], recording: Recording) -> None:
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
     writer.writerow(columns)
-    writer.writerows([repr(int(v)) if v == int(v) else repr(v) for v in row] for row in _as_rows(columns))
+    writer.writerows(
+        [repr(int(v)) if v == int(v) else repr(v) for v in row]
+        for row in zip(*map(np.ndarray.tolist, columns.values()), strict=True)
+    )
     Path(path).write_text(out.getvalue(), "ascii")
-
-
-def _as_rows(columns: dict[str, Floats]) -> list[list[float]]:
-    rows: list[list[float]] = np.column_stack(list(columns.values())).tolist()
-    return rows

@@ -12,6 +12,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
+from instrument import InstrumentError
 from station.campaign.bench import Environment, bench_in_use
 from station.campaign.journal import (
     CampaignOutcome,
@@ -327,13 +328,7 @@ class _Attempts:
         return kind.kind.model.model_validate(values)
 
 
-def _bench_errors() -> tuple[type[Exception], ...]:
-    from instrument import InstrumentError
-
-    return InstrumentError, NoUsableSignal
-
-
-_BENCH = _bench_errors()  # what a bench does that may be over in a moment
+_BENCH = InstrumentError, NoUsableSignal  # what a bench does that may be over in a moment
 
 
 def _evaluated(begun: StepOutcome, taken: Taken, plan: CampaignPlan, known: dict[str, Evaluated]) -> StepOutcome:

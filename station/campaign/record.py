@@ -109,7 +109,7 @@ def record_document(outcome: CampaignOutcome, evaluated: Mapping[str, Evaluated]
             "file": plan.file.name,
             "file_sha256": plan.file_sha256,
             "settings": settings,
-            "settings_sha256": _sum_of(settings),
+            "settings_sha256": hashlib.sha256(canonical(settings)).hexdigest(),
         },
         "instruments": [
             _instrument(card, outcome.started_at, seen if card.role == "oscilloscope" else {})
@@ -121,12 +121,6 @@ def record_document(outcome: CampaignOutcome, evaluated: Mapping[str, Evaluated]
     }
     whole: dict[str, Any] = dict(plain(document))
     return {**whole, CONTENT: content_sha256(whole)}
-
-
-def _sum_of(value: object) -> str:
-    import hashlib
-
-    return hashlib.sha256(canonical(value)).hexdigest()
 
 
 def _instrument(card: InstrumentCard, at: str, seen: Mapping[str, Any]) -> dict[str, Any]:

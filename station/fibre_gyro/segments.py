@@ -241,17 +241,13 @@ def words_of(recording: Recording, column: str = "") -> Floats:
     values = recording.extra[column] if column else recording.counts
     if not recording.gaps:
         return values
-    first, last = _exact_stretch(recording)
+    edges = [0, *(gap.after + 1 for gap in recording.gaps if gap.cause in _APPROXIMATE), recording.counts.size]
+    first, last = max(itertools.pairwise(edges), key=lambda pair: pair[1] - pair[0])
     places = np.round(recording.times[first:last] / recording.interval_s).astype(np.intp)
     places -= places[0]
     words = np.full(int(places[-1]) + 1, np.nan)
     words[places] = values[first:last]
     return words
-
-
-def _exact_stretch(recording: Recording) -> tuple[int, int]:
-    edges = [0, *(gap.after + 1 for gap in recording.gaps if gap.cause in _APPROXIMATE), recording.counts.size]
-    return max(itertools.pairwise(edges), key=lambda pair: pair[1] - pair[0])
 
 
 def remarks_on(segment: Segment, window: WindowMean) -> list[str]:
@@ -329,15 +325,12 @@ def checked(segment: Segment) -> Recording:
         raise ValueError("the recording holds no usable output")
     lost = sum(gap.missing for gap in recording.gaps)
     if lost > 0.2 * (lost + recording.counts.size):
+        gaps = recording.gaps
+        more = f", and {len(gaps) - 1} more gaps" if len(gaps) > 1 else ""
         raise ValueError(
-            f"{_gaps_in_words(recording.gaps)}: {lost} of {lost + recording.counts.size} outputs are missing"
+            f"{gaps[0].describe()}{more}: {lost} of {lost + recording.counts.size} outputs are missing"
         )
     return recording
-
-
-def _gaps_in_words(gaps: tuple[Gap, ...]) -> str:
-    more = f", and {len(gaps) - 1} more gaps" if len(gaps) > 1 else ""
-    return f"{gaps[0].describe()}{more}"
 
 
 def unusable(segment: Segment, tolerance_ppm: float) -> str:

@@ -578,7 +578,11 @@ def sections(found: WitnessEvaluation, run: SavedRun, settings: FogSettings, res
             "converter nonlinearity, of the gyro's or of the oscilloscope's.",
             figures=(PlacedFigure(_level_residuals_svg(found), "Every level of every record."),),
         ),
-        Section("Records", "Without the uncertainty of gain and time base.", table=_record_table(found)),
+        Section(
+            "Records",
+            "Without the uncertainty of gain and time base.",
+            table=TextTable(_COLUMNS, tuple(map(_row, found.records))),
+        ),
     ]
 
 
@@ -615,9 +619,7 @@ def _level_residuals_svg(found: WitnessEvaluation) -> str:
     return svg_element("witness-levels", WIDE, draw)
 
 
-def _record_table(found: WitnessEvaluation) -> TextTable:
-    header = ("record", "step, V", "step time, µs", "fall, V", "V_2π, V", "bias, V", "resets", "noise, mV")
-    return TextTable(header, tuple(_row(one) for one in found.records))
+_COLUMNS = ("record", "step, V", "step time, µs", "fall, V", "V_2π, V", "bias, V", "resets", "noise, mV")
 
 
 def _row(record: WitnessedRecord) -> tuple[str, ...]:

@@ -56,6 +56,7 @@ def result(found: LockInEvaluation, run: SavedRun | None = None, settings: Setti
     # of a run the autoset has looked at faster time bases
     alone = run is None and found.usable and found.several is None and found.table_check is None
     alias = (ALIAS,) if alone and found.method.input_rate is None else ()
+    failures = tuple(flag_sentence(found, name) for name in found.flags if name in _failing(found))
     if found.several is not None:
         tables = (rates_table(found.several),)
     elif len(found.names) > 1:
@@ -81,7 +82,7 @@ def result(found: LockInEvaluation, run: SavedRun | None = None, settings: Setti
         problem="" if found.usable else no_result_words(found),
         truth=f"the truth is {found.truth[LOCK_IN_RATE.key()]:.6g} deg/s" if found.truth is not None else "",
         doubts=tuple(_doubts(found)),
-        failures=tuple(_failures(found)),
+        failures=(*failures, truth_sentence(found)) if truth_is_missed(found) else failures,
     )
 
 
@@ -121,11 +122,6 @@ def _doubts(found: LockInEvaluation) -> list[str]:
     if found.budget is not None and (doubt := doubt_sentence(found.budget)):
         said.append(doubt)
     return said
-
-
-def _failures(found: LockInEvaluation) -> list[str]:
-    said = [flag_sentence(found, name) for name in found.flags if name in _failing(found)]
-    return [*said, truth_sentence(found)] if truth_is_missed(found) else said
 
 
 def _lines(found: LockInEvaluation) -> list[str]:

@@ -94,7 +94,7 @@ class _Taking:
         plan = saved_plan(self.settings, saved) if saved else self._first_plan()
         tried: list[RateStep] = []
         without_beat: dict[RateStep, str] = {}
-        self._count(plan)
+        self._count(plan, done=len(self._saved("measure")))
         seen: PreliminaryLockIn | None = None
         while (step := next((step for step in plan.steps if step not in tried), None)) is not None:
             tried.append(step)
@@ -119,12 +119,10 @@ class _Taking:
         if len(without_beat) == len({step.setting for step in tried}):
             raise NoUsableSignal(next(iter(without_beat.values())))
 
-    def _count(self, plan: RatePlan, without_beat: Iterable[RateStep] = ()) -> None:
-        """Tell how many records of the whole plan there are, and are to come."""
-        silent = {step.setting for step in without_beat}
-        steps = {step.setting: step for step in plan.steps if step.setting not in silent}
-        total = records_at_each(self.settings, plan) * len(steps)
-        self.progress.of_all(total, sum(len(self._taken_at(step)) for step in steps.values()))
+    def _count(self, plan: RatePlan, without_beat: Iterable[RateStep] = (), done: int = 0) -> None:
+        """Tell how many records the whole plan has; in the beginning also how many there are."""
+        settings = {step.setting for step in plan.steps} - {step.setting for step in without_beat}
+        self.progress.of_all(records_at_each(self.settings, plan) * len(settings), done)
 
     def _first_plan(self) -> RatePlan:
         """The plan for the expected lock-in rate, or for another one where the fast run shows it already."""

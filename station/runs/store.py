@@ -5,8 +5,6 @@ taken: codes and preamble of an oscilloscope, or a stretch of a fibre gyro's out
 records as a convenience; they can always be computed again.
 """
 
-from __future__ import annotations
-
 import itertools
 import json
 import shutil
@@ -83,7 +81,7 @@ class SavedRun:
     damaged: tuple[str, ...] = ()  # what of the run is not what was once saved, one sentence each
 
     @property
-    def whole(self) -> SavedRun:
+    def whole(self) -> Self:
         """The run without its damaged records."""
         return replace(self, records=tuple(record for record in self.records if record.intact))
 

@@ -13,10 +13,8 @@ docs/fibre_gyro.md.
 V_FS is the range of the converter, V_pi the half-wave voltage of the phase modulator.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -86,7 +84,7 @@ class FibreCoil:
         """K0 of equation (14), codes per deg/s."""
         return 2.0**dac_bits * self.turns_per_dps
 
-    def scaled(self, factor: float) -> FibreCoil:
+    def scaled(self, factor: float) -> Self:
         """Coil whose L D/lambda is `factor` times this one's and whose transit time is the same.
 
         >>> round(FibreCoil().scaled(1.0001).nominal_scale(16) / FibreCoil().nominal_scale(16) - 1, 9)

@@ -3,10 +3,9 @@
 Source: programmer manual 071-1075-04, pp. 2-84 to 2-91 and 2-240 to 2-260.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,7 +56,7 @@ class Transfer:
     stop: int
 
     @classmethod
-    def of(cls, panel: Panel) -> Transfer:
+    def of(cls, panel: Panel) -> Self:
         """Read the DATa settings from the panel."""
         return cls(
             encoding=panel.text("DATA:ENCDG"),

@@ -6,7 +6,7 @@ import json
 import math
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -34,6 +34,8 @@ class Followed:
     name: str  # of the step and of the number: ``"lock-in rate: lock_in_rate_dps"``
     value: float
     u: float  # standard uncertainty; nan where nobody knows it
+    axis: str = "value"  # what it is, and its unit
+    limits: tuple[float | None, float | None] = (None, None)  # at least, at most
 
 
 @dataclass(frozen=True)
@@ -76,7 +78,9 @@ def _test(path: Path, record: Mapping[str, Any]) -> PastTest:
     numbers: dict[str, Followed] = {}
     for step in record["steps"]:
         for one in _numbers(step):
-            numbers.setdefault(one.name, one)
+            before = numbers.setdefault(one.name, one)
+            if before.limits == (None, None):
+                numbers[one.name] = replace(before, limits=one.limits)
     return PastTest(
         path,
         str(unit["serial"]),
@@ -101,12 +105,20 @@ def _numbers(step: Mapping[str, Any]) -> Iterator[Followed]:
         for value in group.values(result, lambda one: one.trend):
             of = f" {'by the' if group.each == 'by' else 'of'} {value.of}" if value.of else ""
             if math.isfinite(value.value):
-                yield Followed(f"{name}{repeat}: {value.name}{of}", value.value, value.u)
+                axis = _axis(value.name, value.unit)
+                yield Followed(f"{name}{repeat}: {value.name}{of}", value.value, value.u, axis)
     for limit in step["limits"]:
         if isinstance(limit["value"], int | float):
             ends = limit["low_95"], limit["high_95"]
             u = math.nan if None in ends else (ends[1] - ends[0]) / 3.92
-            yield Followed(f"{name}{repeat}: {limit['name']}", float(limit["value"]), u)
+            axis, limits = _axis(limit["number"], limit["unit"]), (limit["at_least"], limit["at_most"])
+            yield Followed(f"{name}{repeat}: {limit['name']}", float(limit["value"]), u, axis, limits)
+
+
+def _axis(key: str, unit: str | None) -> str:
+    """A number as the axis of a picture: what it is, and its unit."""
+    words = (key.rpartition("_")[0] if unit else key).replace("_", " ").replace("lock in", "lock-in")
+    return f"{words}, {unit}" if unit else words
 
 
 # --------------------
@@ -123,8 +135,18 @@ class ControlSeries:
     of: str  # ``"RLG-2000"``, or ``"bench, by REF-1"``
     name: str  # of step and number
     tests: tuple[PastTest, ...]  # in the order of time
-    us: tuple[float, ...]  # standard uncertainty of each value; nan where nobody knows it
+    numbers: tuple[Followed, ...]  # of each test
     chart: ControlChart
+
+    @property
+    def us(self) -> tuple[float, ...]:
+        """Standard uncertainty of each value; nan where nobody knows it."""
+        return tuple(one.u for one in self.numbers)
+
+    def unit_at(self, number: int) -> str:
+        """The unit of a test, and its day, from 1; empty where there is none."""
+        test = self.tests[number - 1] if 1 <= number <= len(self.tests) else None
+        return "" if test is None else f"{test.unit[:12]}\n{test.at[5:10]}"
 
     @property
     def sentences(self) -> list[str]:
@@ -135,9 +157,10 @@ class ControlSeries:
         if not chart.has_limits:
             return ["All values of the baseline are the same: there are no limits."]
         said = [
+            *self._capability,
             f"Centre {chart.centre:.6g}, sigma {chart.sigma:.2g} by the moving range of the first "
             f"{chart.baseline}, limits {chart.centre - 3 * chart.sigma:.6g} to "
-            f"{chart.centre + 3 * chart.sigma:.6g}."
+            f"{chart.centre + 3 * chart.sigma:.6g}.",
         ]
         if not chart.signals:
             return [*said, "In control: nothing stands out."]
@@ -146,6 +169,14 @@ class ControlSeries:
             said.append(f"{test.at[:16].replace('T', ' ')} UTC, {test.unit}: {RULES[one.rule]}.")
         return said
 
+    @property
+    def _capability(self) -> list[str]:
+        """How many standard deviations lie between the mean and the nearer limit, over three: Cpk."""
+        low, high = self.numbers[-1].limits
+        mean, spread = float(np.mean(self.chart.values)), float(np.std(self.chart.values, ddof=1))
+        room = min(math.inf if high is None else high - mean, math.inf if low is None else mean - low)
+        return [f"Cpk {room / (3 * spread):.2f}."] if math.isfinite(room) and spread > 0 else []
+
 
 def courses(tests: Sequence[PastTest], *, baseline: int = BASELINE) -> list[ControlSeries]:
     """Return every number that is followed: those of the bench first, then by type of unit."""
@@ -153,8 +184,11 @@ def courses(tests: Sequence[PastTest], *, baseline: int = BASELINE) -> list[Cont
     # are not mixed with real ones.
     counted = [one for one in tests if one.verdict not in ("ABORTED", "ERROR")]
     groups: dict[str, list[PastTest]] = {}
+    campaigns = {one.campaign for one in counted}
     for one in sorted(counted, key=lambda test: not test.is_reference):
         kind = f"bench, by {one.unit}" if one.is_reference else one.unit_type or "units of no type"
+        if len(campaigns) > 1:  # another campaign may measure the same number in another way
+            kind = f"{kind}, {one.campaign}"
         groups.setdefault(f"{kind} (simulated)" if one.simulated else kind, []).append(one)
     return [course for of, group in groups.items() for course in _of_group(of, group, baseline)]
 
@@ -167,7 +201,7 @@ def _of_group(of: str, tests: Iterable[PastTest], baseline: int) -> list[Control
         pairs = [(test, one) for test in ordered for one in test.numbers if one.name == name]
         chart = control_chart([one.value for _, one in pairs], baseline=baseline)
         found.append(
-            ControlSeries(of, name, tuple(test for test, _ in pairs), tuple(one.u for _, one in pairs), chart)
+            ControlSeries(of, name, tuple(test for test, _ in pairs), tuple(one for _, one in pairs), chart)
         )
     return found
 
@@ -179,7 +213,7 @@ def course_svg(course: ControlSeries, name: str) -> str:
     jumps = sorted({one.place for one in chart.signals if one.rule == 5})
 
     def draw(figure: Figure) -> None:
-        from matplotlib.ticker import MaxNLocator
+        from matplotlib.ticker import FuncFormatter, MaxNLocator
 
         above, below = figure.subplots(2, sharex=True, height_ratios=(2.2, 1))
         us = np.array(course.us)
@@ -192,12 +226,16 @@ def course_svg(course: ControlSeries, name: str) -> str:
             below.axhline(chart.range_limit, color=SECOND, linewidth=1.0, linestyle=(0, (5, 3)))
         for axes, values, places in ((above, chart.values, flagged), (below, chart.moving_range, jumps)):
             axes.plot(number[places], values[places], "s", ms=8, mfc="none", mec=SECOND, mew=1.6)
-        above.set(ylabel="value")
+        for limit in course.numbers[-1].limits:
+            if limit is not None:
+                above.axhline(limit, color="#a93226", linewidth=1.2)
+        above.set(ylabel=course.numbers[-1].axis)
         above.ticklabel_format(axis="y", useOffset=False)
-        below.set(xlabel="test, in the order of time", ylabel="moving range", xlim=(0.4, number.size + 0.6))
+        below.set(xlabel="unit, in the order of its test", ylabel="moving range", xlim=(0.4, number.size + 0.6))
         largest = np.max(chart.moving_range[1:], initial=chart.range_limit if chart.has_limits else 0.0)
         below.set_ylim(0, 1.15 * largest if largest > 0 else None)
-        below.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
+        below.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1, nbins=8))
+        below.xaxis.set_major_formatter(FuncFormatter(lambda at, _: course.unit_at(round(at))))
 
     return svg_element(name, TALL, draw)
 
@@ -285,15 +323,15 @@ def write_index(
     directory: Path, tests: Sequence[PastTest], courses: Sequence[ControlSeries], path: Path | None = None
 ) -> Path:
     """Write the page, by default ``index.html`` in the folder of the tests; OSError if it cannot be written."""
-    return write_page(path or directory / INDEX_FILE, render_index(path or directory / INDEX_FILE, tests, courses))
-
-
-def render_index(path: Path, tests: Sequence[PastTest], courses: Sequence[ControlSeries]) -> str:
-    """Return the page as HTML; its links start from `path`."""
+    path = path or directory / INDEX_FILE
     newest: dict[str, PastTest] = {one.unit: one for one in tests}
     counted = {verdict: sum(one.verdict == verdict for one in newest.values()) for verdict in _STATES}
     summary = ", ".join(f"{count} {verdict}" for verdict, count in counted.items() if count)
     units = "unit" if len(newest) == 1 else "units"
+    first = {one.unit: one.verdict for one in reversed(tests) if one.verdict in ("PASS", "MARGINAL", "FAIL")}
+    if first:
+        passed = sum(verdict == "PASS" for verdict in first.values())
+        summary += f"; first-pass yield {passed} of {len(first)} ({passed / len(first):.0%})"
     rows = [
         {
             "at": one.at[:16].replace("T", " "),
@@ -315,7 +353,7 @@ def render_index(path: Path, tests: Sequence[PastTest], courses: Sequence[Contro
         )
         for place, course in enumerate(courses)
     ]
-    return render_page(
+    text = render_page(
         "history.html.j2",
         version=version("gyrolock"),
         summary=f"{len(newest)} {units}: {summary}" if newest else "No unit was tested yet.",
@@ -323,9 +361,10 @@ def render_index(path: Path, tests: Sequence[PastTest], courses: Sequence[Contro
         sections=sections,
         footer=f"Made by gyrolock {version('gyrolock')} from the records of {len(tests)} tests.",
     )
+    return write_page(path, text)
 
 
 _CAPTION = (
     "Above the values with their standard uncertainty, below the distance of each from the one before. Lines at "
-    "1, 2 and 3 sigma; a square marks what the rules of Western Electric call out of control."
+    "1, 2 and 3 sigma, in red the limit; a square marks what the rules of Western Electric call out of control."
 )

@@ -81,7 +81,9 @@ def misfit_of(
     around = surroundings(power) if power.size > 2 * NEIGHBOURS else np.full(power.size, mean)
     stands_out = np.where(power > CLEAR * around, power, 0.0) / mean
     at = np.arange(1, power.size + 1)
-    feet = [_foot(at - folded) ** 2 for folded in _folded(line * np.arange(1.0, ORDERS + 1), n_samples)]
+    # where lines of any frequency stand in the spectrum of the samples, and the size of a foot at so many bins
+    folded = np.abs((line * np.arange(1.0, ORDERS + 1) + n_samples / 2) % n_samples - n_samples / 2)
+    feet = [1 / np.maximum(np.pi * np.abs(at - one), 1.0) ** 2 for one in folded]
     by_frequency = float(stands_out @ feet[0])
     curved = CURVED**2 * np.max(feet[2:], axis=0)
     by_ratio = float(stands_out @ (ratio**2 * feet[0] + np.maximum(feet[1], curved)))
@@ -93,16 +95,6 @@ def misfit_of(
 def turned_by(sidebands: float | Floats, ratio: float | Floats) -> Floats:
     """What a moving phase may do to a ratio, by the power of its sidebands over that of the fundamental."""
     return np.asarray(1.5 * ratio * sidebands + 0.25 * sidebands)
-
-
-def _folded(lines: Floats, n_samples: int) -> Floats:
-    """Where lines of any frequency stand in the spectrum of the samples."""
-    return np.abs((lines + n_samples / 2) % n_samples - n_samples / 2)
-
-
-def _foot(distance: Floats) -> Floats:
-    """Size of a line's foot at a distance in bins."""
-    return np.asarray(1 / np.maximum(np.pi * np.abs(distance), 1.0))
 
 
 def pedestal_power(power: Samples, line: float) -> float:

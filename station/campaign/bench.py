@@ -92,14 +92,9 @@ def bench_in_use(plan: CampaignPlan) -> Iterator[None]:
     """
     doing = f"campaign {plan.name}, unit {plan.unit}"
     with ExitStack() as claims:
-        for name in instruments_of(plan):
+        for name in dict.fromkeys(name for step in plan.steps for name in _named(step.settings) if name):
             claims.enter_context(claim(name, doing, means=meant_by(name)))
         yield
-
-
-def instruments_of(plan: CampaignPlan) -> list[str]:
-    """Return the resource names of the instruments that the steps of a campaign use, each once."""
-    return list(dict.fromkeys(name for step in plan.steps for name in _named(step.settings) if name))
 
 
 def _named(settings: Mapping[str, Any]) -> Iterator[str]:

@@ -262,6 +262,7 @@ def _document(
                 "number": one.name,
                 "values": one.chart.values,
                 "u": list(one.us),
+                "limits": list(one.numbers[-1].limits),
                 "units": [test.unit for test in one.tests],
                 "started_at": [test.at for test in one.tests],
                 "centre": one.chart.centre,

@@ -169,7 +169,8 @@ def time_record_svg(waveform: Waveform) -> str:
     frequency = float(fit.frequency)
     periods = int(np.ceil(_PERIODS_SHOWN / frequency / waveform.sample_interval))
     shown = min(waveform.codes.size, periods, _SAMPLES_SHOWN)
-    scale, unit = _time_unit(shown * waveform.sample_interval)
+    span, units = shown * waveform.sample_interval, ((2.0, 1.0, "s"), (2e-3, 1e3, "ms"), (0.0, 1e6, "µs"))
+    scale, unit = next((s, u) for limit, s, u in units if span >= limit)
     fine = np.linspace(0, (shown - 1) * waveform.sample_interval, 800)
     orders = np.arange(1, _HARMONICS + 1)
     times = np.arange(shown) * waveform.sample_interval
@@ -335,10 +336,6 @@ def _amplitude_at(waveform: Waveform, frequencies: Array) -> Array:
 def _without_gaps(waveform: Waveform) -> Array:
     volts = waveform.volts
     return np.where(np.isfinite(volts), volts - np.nanmean(volts), 0.0)
-
-
-def _time_unit(span: float) -> tuple[float, str]:
-    return next((s, u) for limit, s, u in ((2.0, 1.0, "s"), (2e-3, 1e3, "ms"), (0.0, 1e6, "µs")) if span >= limit)
 
 
 def _frequency_unit(end: float) -> tuple[float, str]:

@@ -243,13 +243,11 @@ def _with_response(path: Path, settings: Settings) -> Settings:
 
 def read_response(path: Path) -> tuple[ResponseRow, ...]:
     """Read a table of the channel's response."""
-    lines = read_text(path).splitlines()
+    numbered = enumerate(read_text(path).splitlines(), start=1)
     rows: list[ResponseRow] = []
-    for number, line in enumerate(lines, start=1):
-        if not line.strip() or line.lstrip().startswith("#"):
-            continue
+    for place, (number, line) in enumerate((n, s) for n, s in numbered if s.strip() and s.lstrip()[0] != "#"):
         row = _numbers(line)
-        if row is None and not rows and number == _first_written(lines):
+        if row is None and place == 0:
             continue  # the headings
         if row is None:
             raise SettingsError(
@@ -279,11 +277,6 @@ def _numbers(line: str) -> ResponseRow | None:
     if len(values) != _RESPONSE_COLUMNS or not all(math.isfinite(value) for value in values):
         return None
     return values[0], values[1], values[2]
-
-
-def _first_written(lines: list[str]) -> int:
-    """Number of the first line that is neither empty nor a remark."""
-    return next(n for n, line in enumerate(lines, start=1) if line.strip() and not line.lstrip().startswith("#"))
 
 
 RING_LASER = SettingsKind(

@@ -13,9 +13,7 @@ from station.reanalysis.table_file import (
     ORDER,
     TEXTS,
     VERSION,
-    Column,
     Key,
-    Repeated,
     TableFile,
     TableRows,
     joined_columns,
@@ -73,7 +71,7 @@ class Parquet(TableFile):
     def packed(parts: Sequence[TableRows]) -> bytes:
         """Columns as Arrow lays them out in memory; see `TableFile`."""
         columns = joined_columns(parts)
-        arrays = [_array(columns[name], _KINDS[name]) for name in ORDER]
+        arrays = [pyarrow.array(columns[name], _KINDS[name], from_pandas=True) for name in ORDER]
         return bytes(pyarrow.RecordBatch.from_arrays(arrays, schema=SCHEMA).serialize())
 
     def add(self, packed: bytes) -> None:
@@ -130,11 +128,3 @@ class Parquet(TableFile):
             raise RunError(
                 f"{self.path}: is no Parquet file or is damaged ({str(error).splitlines()[0]})"
             ) from None
-
-
-def _array(column: Column, kind: Any) -> Any:
-    """A column as Arrow has it; nan and None: not known."""
-    if isinstance(column, Repeated):
-        value = None if column.value != column.value else column.value
-        return pyarrow.repeat(pyarrow.scalar(value, kind), len(column))
-    return pyarrow.array(column, kind, from_pandas=True)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import hashlib
 import io
-import itertools
 import json
 import math
 import os
@@ -16,7 +15,7 @@ from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import IO, Any, overload
+from typing import IO, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -120,27 +119,6 @@ Column = Sequence[Any] | NDArray[Any]  # one value for each row; None, or nan of
 
 
 @dataclass(frozen=True)
-class Repeated(Sequence[Any]):
-    """One value that all rows share."""
-
-    value: Any
-    size: int
-
-    def __len__(self) -> int:
-        return self.size
-
-    @overload
-    def __getitem__(self, place: int) -> Any: ...
-    @overload
-    def __getitem__(self, place: slice) -> Sequence[Any]: ...
-    def __getitem__(self, place: int | slice) -> Any:
-        return ([self.value] * self.size)[place]
-
-    def __iter__(self) -> Iterator[Any]:
-        return itertools.repeat(self.value, self.size)
-
-
-@dataclass(frozen=True)
 class TableRows:
     """Rows of one source, or of a piece of it."""
 
@@ -155,7 +133,7 @@ class TableRows:
     def column(self, name: str) -> Column:
         """One value for each row."""
         values = self.columns[name]
-        return values if isinstance(values, list | np.ndarray) else Repeated(values, self.count)
+        return values if isinstance(values, list | np.ndarray) else [values] * self.count
 
 
 def joined_columns(parts: Sequence[TableRows]) -> dict[str, Column]:
@@ -170,9 +148,6 @@ def _joined(columns: Sequence[Column]) -> Column:
     arrays = [column for column in columns if isinstance(column, np.ndarray)]
     if len(arrays) == len(columns):
         return np.concatenate(arrays)
-    shared = {column.value for column in columns if isinstance(column, Repeated)}
-    if len(shared) == 1 and all(isinstance(column, Repeated) for column in columns):
-        return Repeated(shared.pop(), sum(map(len, columns)))
     return [value for column in columns for value in column]
 
 
@@ -368,8 +343,6 @@ class DelimitedTable(TableFile):
 
 def _known(column: Column) -> Sequence[Any]:
     """Values, None where they are nan."""
-    if isinstance(column, Repeated):
-        return Repeated(None, len(column)) if column.value != column.value else column
     if not isinstance(column, np.ndarray):
         return [None if value != value else value for value in column]
     values: list[Any] = column.tolist()

@@ -15,6 +15,7 @@ from rich.text import Text
 from station.errors import DAMAGE, RunError
 from station.files import version
 from station.live.console import stdout_console
+from station.results.numbers import SCALE_FACTOR
 from station.results.result import FactTable, Result, Rows, Section
 from station.results.verdict import MARGINAL, LimitOutcome, worst
 from station.runs.annotations import Remark, Remarks, read_remarks
@@ -136,6 +137,8 @@ def _labels(facts: RunFacts, remarks: Remarks) -> Rows:
     if identity := facts.get("identity"):
         serial = identity.get("serial") or ""
         rows.append(("instrument", f"{identity.get('model', '')} {serial.strip('0') and serial}".strip()))
+    if factor := (facts.get("settings") or {}).get("gyro", {}).get(SCALE_FACTOR.key()):
+        rows.append(("K", f"{factor:.10g} pulses/deg"))
     if facts.resumed_at:
         rows.append(("resumed", f"{len(facts.resumed_at)} times" if len(facts.resumed_at) > 1 else "once"))
     return rows

@@ -30,7 +30,7 @@ from station.controllers import open_simulated_rate_table, open_surroundings
 from station.errors import UsageError
 from station.results.numbers import AMPLITUDE, BACKSCATTER_PHASE, BEAT_FREQUENCY, INPUT_RATE, LOCK_IN_RATE
 from station.ring_laser.records import Bench
-from station.ring_laser.settings import BenchSettings, ContaminantSettings, SimulationSettings
+from station.ring_laser.settings import BenchSettings, SimulationSettings
 from station.scope.tools import open_scope, serve
 
 Array = NDArray[np.float64]
@@ -91,7 +91,13 @@ def build_instruments(settings: BenchSettings, clock: Clock, *, times_resumed: i
         table.when_steady = lambda steady: _prepare(gyro, detector, table, steady)
     signals = {settings.scope.channel: _signal(gyro, detector, table, simulation, 0)}
     if settings.scope.quadrature_channel:
-        cosine = _cosine_detector(detector, simulation.contaminants)
+        added = simulation.contaminants
+        further = math.pi / 2 + math.radians(added.quadrature_phase_error_deg)
+        cosine = replace(
+            detector,
+            readout_phase=detector.readout_phase + further,
+            amplitude=detector.amplitude * (1 + added.quadrature_gain_error),
+        )
         signals[settings.scope.quadrature_channel] = _signal(gyro, cosine, table, simulation, 1)
     try:
         scope = SimulatedTDS2014(
@@ -153,15 +159,6 @@ def _detector(simulation: SimulationSettings) -> Detector:
         pump_ripple=added.pump_ripple,
         pump_hz=added.pump_ripple_hz,
         single_beams=added.single_beams,
-    )
-
-
-def _cosine_detector(sine: Detector, added: ContaminantSettings) -> Detector:
-    """The second photodiode, a quarter of a fringe further, as unequal to the first one as the settings say."""
-    return replace(
-        sine,
-        readout_phase=sine.readout_phase + math.pi / 2 + math.radians(added.quadrature_phase_error_deg),
-        amplitude=sine.amplitude * (1 + added.quadrature_gain_error),
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import itertools
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +14,7 @@ from station.runs.database import COLUMNS, LAYOUTS, STRICT_JSON, SUMS, checked_f
 from station.runs.store import NewRecord, RunWriter, SavedRecord, SavedRun, open_run, read_record, run_file
 
 _COMMIT = 100  # records that are saved at once
+_NAMED = 1000  # records that are lost one behind the other, each by its number
 
 
 @dataclass(frozen=True)
@@ -35,6 +37,10 @@ def salvage(path: Path, parent: Path | None = None) -> Salvaged:
     if run is not None:
         records |= {record.number: record for record in run.records if record.intact}
         facts |= run.facts
+    keys: dict[str, int] = {}
+    for number in sorted(records, key=lambda number: (number <= 0, number)):
+        keys.setdefault(records[number].key, number)  # once more under a number that is damaged
+    records = {number: records[number] for number in keys.values()}
     if not records:
         raise RunError(f"{file}: nothing of a run can be read there")
     lost = _lost(records, run, facts)
@@ -111,8 +117,14 @@ def _json(text: str) -> Any:
 
 def _lost(records: dict[int, SavedRecord], run: SavedRun | None, facts: dict[str, Any]) -> tuple[str, ...]:
     there = {record.number: record.key for record in run.records} if run is not None else {}
-    numbers = range(1, max([*records, *there]) + 1)
-    lost = [f"record {number} ({there.get(number, 'unknown')})" for number in numbers if number not in records]
+    lost, ends = [], [0, *sorted(number for number in {*records, *there} if number > 0)]
+    for before, number in itertools.pairwise(ends):  # a number that is damaged itself may be any
+        if number - before > _NAMED:
+            lost.append(f"records {before + 1} to {number - 1} (unknown)")
+        else:
+            lost += [f"record {one} (unknown)" for one in range(before + 1, number)]
+        if number not in records:
+            lost.append(f"record {number} ({there[number]})")
     return (*lost, *(f"its {name}" for name in ("command", "settings") if name not in facts))
 
 
@@ -128,6 +140,7 @@ def _new(record: SavedRecord) -> NewRecord:
 
 _TABLE_LEAF, _INDEX_LEAF = 0x0D, 0x0A
 _LONGEST_ROW = 64 << 20  # bytes; an hour of output at 1 kHz has 60 MB
+_MOST_CELLS = 100
 _INTEGERS = {1: 1, 2: 2, 3: 3, 4: 4, 5: 6, 6: 8}  # serial type, and its bytes
 
 Value = int | str | bytes | None
@@ -167,6 +180,7 @@ def _row(page: bytes, at: int, kind: int, others: Mapping[int, bytes]) -> Salvag
     number = 0
     if kind == _TABLE_LEAF:
         number, at = _varint(page, at)
+        number -= (number >> 63) << 64  # it has a sign
     if not 0 < length <= _LONGEST_ROW:
         raise ValueError("no row is so long")
     most = len(page) - 35 if kind == _TABLE_LEAF else (len(page) - 12) * 64 // 255 - 23
@@ -175,11 +189,14 @@ def _row(page: bytes, at: int, kind: int, others: Mapping[int, bytes]) -> Salvag
     least = (len(page) - 12) * 32 // 255 - 23
     here = least + (length - least) % (len(page) - 4)
     here = here if here <= most else least
-    data, following = page[at : at + here], int.from_bytes(page[at + here : at + here + 4], "big")
-    while len(data) < length:
+    pieces, following = [page[at : at + here]], int.from_bytes(page[at + here : at + here + 4], "big")
+    if length > here + len(others) * (len(page) - 4):  # else a chain that comes back to itself has no end
+        raise ValueError("no file of so many pages holds so long a row")
+    for _ in range(-(-(length - here) // (len(page) - 4))):
         more = others[following]
-        data, following = data + more[4:], int.from_bytes(more[:4], "big")
-    return SalvagedRow(number, _cells(data[:length]))
+        pieces.append(more[4:])
+        following = int.from_bytes(more[:4], "big")
+    return SalvagedRow(number, _cells(b"".join(pieces)[:length]))
 
 
 def _cells(data: bytes) -> tuple[Value, ...]:
@@ -188,6 +205,8 @@ def _cells(data: bytes) -> tuple[Value, ...]:
     while at < length:
         kind, at = _varint(data, at)
         kinds.append(kind)
+        if len(kinds) > _MOST_CELLS:
+            raise ValueError("no row of ours has so many cells")
     values: list[Value] = []
     for kind in kinds:
         size = _INTEGERS.get(kind, 8 if kind == 7 else (kind - 12) // 2 if kind >= 12 else 0)

@@ -201,6 +201,27 @@ def test_the_command_names_what_is_lost(tmp_path: Path, capsys) -> None:
     assert "nothing of a run" in json.loads(capsys.readouterr().out)["error"]["message"]
 
 
+@pytest.mark.parametrize("number", [10**15, 2**62, -7, 0, 12_345])
+def test_a_number_that_is_damaged_is_no_count_of_records(tmp_path: Path, number: int, capsys) -> None:
+    """The row of a record under another number, beside the record itself and in its place."""
+    path = new_run(tmp_path, 5)
+    names = "key, taken_at, purpose, header, payload, conditions, sha256"
+    whole, here = tmp_path / "twice", tmp_path / "moved"
+    for folder, statement in (
+        (whole, f"UPDATE record SET number = {number} WHERE number = 2"),
+        (
+            here,
+            f"INSERT INTO record (number, {names}) SELECT {number}, key || ' ', {names[5:]} FROM record LIMIT 1",
+        ),
+    ):
+        folder.mkdir()
+        copy = Path(shutil.copy(path, folder))
+        damage(copy, statement)
+        assert main(["salvage", str(copy), "--json", "--out", str(folder / "out")]) == 0
+        told = json.loads(capsys.readouterr().out)
+        assert len(told["lost"]) < 1100 and told["records"] in (5, 6)
+
+
 GOLDEN = Path(__file__).parents[1] / "golden"
 
 

@@ -124,3 +124,38 @@ def test_a_folder_without_tests_is_a_usage_error(tmp_path: Path, capsys: pytest.
     assert main(["history", str(tmp_path)]) == 2
     assert main(["history", str(tmp_path / "nowhere")]) == 2
     assert "holds no record of a test" in capsys.readouterr().err
+
+
+def test_a_chart_has_its_limit_its_unit_and_what_it_is_worth(tmp_path: Path) -> None:
+    """Cpk by hand; the first verdict of a unit counts for the yield, however often it is tested again."""
+    limit = {"number": "lock_in_rate_dps", "name": "lock_in_rate_dps", "unit": "deg/s", "at_least": None}
+    for place, value in enumerate(STEADY[:12]):
+        at = NOW - timedelta(days=20 - place)
+        write_record(tmp_path, f"SN{place}", at, value, verdict="FAIL" if place == 3 else "PASS")
+    write_record(tmp_path, "SN3", NOW, STEADY[12])
+    for path in tmp_path.rglob("record.json"):
+        record = json.loads(path.read_text())
+        value = record["steps"][0]["result"]["lock_in_rate_dps"]
+        record["steps"][0]["limits"] = [
+            {**limit, "value": value, "low_95": value - 2e-5, "high_95": value + 2e-5, "at_most": 0.0101}
+        ]
+        path.write_text(json.dumps(record))
+    assert main(["history", str(tmp_path)]) == 0
+    page = (tmp_path / "index.html").read_text(encoding="utf-8")
+    assert "first-pass yield 11 of 12 (92%)" in page
+    of_all = STEADY[:13]
+    cpk = (0.0101 - float(np.mean(of_all))) / (3 * float(np.std(of_all, ddof=1)))
+    assert f"Cpk {cpk:.2f}." in page
+    (course,) = (one for one in courses(read_tests(tmp_path)[0]) if "lock_in" in one.name)
+    assert course.numbers[-1].axis == "lock-in rate, deg/s" and course.numbers[-1].limits == (None, 0.0101)
+    assert course.unit_at(1).startswith("SN0\n") and course.unit_at(99) == ""
+
+
+def test_another_campaign_has_a_chart_of_its_own(tmp_path: Path) -> None:
+    for place in range(4):
+        write_record(tmp_path, f"SN{place}", NOW - timedelta(days=place), STEADY[place])
+    for path in sorted(tmp_path.rglob("record.json"))[:2]:
+        record = json.loads(path.read_text())
+        path.write_text(json.dumps({**record, "campaign": {"name": "two rates"}}))
+    found = {one.of: one.chart.values.size for one in courses(read_tests(tmp_path)[0]) if "lock_in" in one.name}
+    assert found == {"RLG, acceptance": 2, "RLG, two rates": 2}

@@ -93,9 +93,10 @@ def scale_linearity(runs: TableRuns, *, irreproducibility_ppm: float | None = No
     curve = np.column_stack([shape[name] for name in chosen]) @ rows if chosen else np.zeros((at.size, rate.size))
     error = _PPM * full * curve / at[:, np.newaxis]
     error_u = np.array([scatter.standard_u(row) for row in error]) if scatter is not None else np.zeros(at.size)
-    power, spread = _of_all_terms(
-        np.column_stack([shape[name] for name in terms]), *values_of(terms)[1:], runs.mean
-    )
+    # deviations of the curve with all terms at each rate, ppm of full scale, and their covariance
+    _, of_terms, scatter_of_terms = values_of(terms)
+    factors = _PPM * np.column_stack([shape[name] for name in terms]) @ of_terms
+    power, spread = factors @ runs.mean, factors @ scatter_of_terms.mean_covariance() @ factors.T
     largest = _PPM * float(np.abs(curve @ runs.mean).max())
     seen, wide = _largest_of(power, spread)
     rms, low, high = _rms_of(power, spread, max(runs.mean.size - plain.shape[1] - len(terms), 1))
@@ -131,12 +132,6 @@ def _shape(rate: Floats, full: float) -> dict[str, Floats]:
     line = np.column_stack([rate, np.ones_like(rate)])
     projector = np.eye(rate.size) - line @ np.linalg.pinv(line)
     return {name: projector @ column / full for name, column in _columns(rate, full).items()}
-
-
-def _of_all_terms(shape: Floats, rows: Floats, scatter: RunScatter, mean: Floats) -> tuple[Floats, Floats]:
-    """Deviations of the curve with all terms at each rate, ppm of full scale, and their covariance."""
-    factors = _PPM * shape @ rows
-    return factors @ mean, np.asarray(factors @ scatter.mean_covariance() @ factors.T)
 
 
 def _rms_of(deviation: Floats, covariance: Floats, freedom: int) -> tuple[float, float, float]:

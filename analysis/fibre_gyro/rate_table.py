@@ -105,7 +105,7 @@ def fit_axis(
         degrees_of_freedom=freedom,
         scatter_ppm=_excess_scatter(runs, residual, freedom),
         scatter_assumed=scatter.assumed,
-        angle_random_walk=_angle_random_walk(runs, k),
+        angle_random_walk=float(60 / abs(k) * np.sqrt(np.mean(runs.mean_u**2 * runs.duration_s))),
     )
 
 
@@ -131,11 +131,6 @@ def _excess_scatter(runs: TableRuns, residual: Floats, freedom: int) -> float:
         return 0.0
     excess = float(np.sum(residual**2 - runs.mean_u**2 * freedom / residual.size)) / freedom
     return _PPM * float(np.sqrt(max(excess, 0.0) / np.mean(runs.mean**2)))
-
-
-def _angle_random_walk(runs: TableRuns, scale_factor: float) -> float:
-    each = 60.0 * runs.mean_u / abs(scale_factor) * np.sqrt(runs.duration_s)
-    return float(np.sqrt(np.mean(each**2)))
 
 
 def vertical_earth_rate_dph(latitude_deg: float) -> float:

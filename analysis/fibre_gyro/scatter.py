@@ -112,7 +112,8 @@ def find_run_scatter(
     """Weigh the scatter that the residuals of the runs allow."""
     noise, irreproducible = noise_u**2, ((stated or 0.0) * mean) ** 2
     known = noise + irreproducible
-    covariance = np.zeros((mean.size, mean.size)) if slow is None else _about_its_mean(slow)
+    covariance = np.zeros((mean.size, mean.size)) if slow is None else slow - slow.mean(axis=0)
+    covariance -= covariance.mean(axis=1)[:, np.newaxis]  # without the mean over all
     parts = noise, irreproducible, covariance
     freedom = mean.size - design.shape[1]
     if freedom < 1:
@@ -135,12 +136,6 @@ def find_run_scatter(
     likelihood += np.repeat(prior, _PARTS.size)
     weight = np.exp(likelihood - likelihood.max())
     return RunScatter(variance, weight / weight.sum(), False, *parts)
-
-
-def _about_its_mean(covariance: Floats) -> Floats:
-    """Covariance of what is left when the mean over all runs is taken off; constants have none."""
-    centred = covariance - covariance.mean(axis=0)
-    return np.asarray(centred - centred.mean(axis=1)[:, np.newaxis])
 
 
 def _log_likelihood(variance: Floats, design: Floats, left: Floats, slow: Floats | None) -> Floats:

@@ -179,7 +179,8 @@ def fit_over_temperature(
     powers = _legendre(warm, lowest, highest, most)
     rate = np.zeros(value.size) if temperature_rate is None else np.asarray(temperature_rate, dtype=np.float64)
     scale = float(np.abs(rate).max())
-    known = scale > 0 and _is_separate(powers, rate)
+    left = rate - powers @ np.linalg.lstsq(powers, rate, rcond=None)[0]  # what polynomials in T leave of it
+    known = scale > 0 and bool(np.linalg.norm(left) > _SEPARATE * np.linalg.norm(rate))
     design = np.column_stack([powers, rate / (scale or 1.0)])
     trials = [
         (order, with_rate) for order in range(most + 1) for with_rate in ((False, True) if known else (False,))
@@ -248,12 +249,6 @@ def _to_powers(lowest: float, highest: float, reference: float, order: int) -> F
         power = Legendre.basis(degree, domain=[lowest, highest]).convert(kind=Polynomial)(shifted)
         matrix[: degree + 1, degree] = power.coef[: degree + 1]
     return matrix
-
-
-def _is_separate(powers: Floats, rate: Floats) -> bool:
-    """Whether enough of the rate is left when polynomials in T have taken their part."""
-    left = rate - powers @ np.linalg.lstsq(powers, rate, rcond=None)[0]
-    return float(np.linalg.norm(left)) > _SEPARATE * float(np.linalg.norm(rate))
 
 
 @dataclass(frozen=True)

@@ -147,16 +147,14 @@ def fit_rates(
         return _fit(records, rate_u, reference, model, receiver)
 
     found = fit(bool(in_order))
-    if in_order is None and _scatters(found):
+    if in_order is not None:
+        return found
+    # where records of one rate and sense differ by more than their noise, something may have drifted
+    scatter, degrees = gather(found.each.records).scatter(found.each.parameters)
+    if degrees > 0 and float(scipy.special.chdtrc(degrees, scatter)) < UNLIKELY:
         drifting = fit(True)
         return found if drifting.flags & RatesFlag.MISFIT else drifting
     return found
-
-
-def _scatters(fit: RatesFit) -> bool:
-    """Whether records of one rate and sense differ by more than their noise: something may have drifted."""
-    scatter, degrees = gather(fit.each.records).scatter(fit.each.parameters)
-    return degrees > 0 and float(scipy.special.chdtrc(degrees, scatter)) < UNLIKELY
 
 
 def fit_again(

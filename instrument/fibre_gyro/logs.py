@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import datetime
 import io
+import itertools
 import os
 import re
 from collections import Counter
@@ -327,7 +328,7 @@ def read_table(text: IO[str], names_of: Names) -> tuple[Dialect, list[str], LogT
     dialect = _dialect(first[1])
     names = names_of(dialect)
     parts, lines = [], []
-    for begin, block in _chain(first, blocks):
+    for begin, block in itertools.chain([first], blocks):
         numbered = [
             (number, line)
             for number, line in enumerate((one.strip() for one in block), start=begin)
@@ -349,11 +350,6 @@ def seconds_of_day(cell: str) -> float:
         raise ValueError(cell)
     hours, minutes, seconds = (float(part) for part in (*parts, "0")[:3])
     return 3600.0 * hours + 60.0 * minutes + seconds
-
-
-def _chain(first: tuple[int, list[str]], rest: Iterator[tuple[int, list[str]]]) -> Iterator[tuple[int, list[str]]]:
-    yield first
-    yield from rest
 
 
 def _blocks(text: IO[str]) -> Iterator[tuple[int, list[str]]]:

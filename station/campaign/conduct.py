@@ -39,6 +39,7 @@ from station.measurements import Measurement, measurement
 from station.results.verdict import (
     ABORTED,
     ERROR,
+    FAIL,
     judged,
     worst,
 )
@@ -149,6 +150,8 @@ class _Conducting:
                     one.key not in self.done for one in self.plan.steps[:place]
                 )
                 self._one(journal, step, surroundings, wait, warm if again else step.warm_up_s)
+                if self.plan.stop_after_failure and self.done[step.key].verdict in (FAIL, ERROR):
+                    break
 
     @contextmanager
     def _surroundings(self) -> Iterator[Environment]:

@@ -91,6 +91,7 @@ def read_campaign(path: Path, unit: str) -> CampaignPlan:
         retry_after_s=about.retry_after_s,
         reports=about.reports,
         switch_off_afterwards=about.switch_off_afterwards,
+        stop_after_failure=about.stop_after_failure,
         ask_for_unit=about.ask_for_unit,
     )
 
@@ -334,6 +335,7 @@ class CampaignSection(SettingsSection):
     retry_after_s: NotNegative = 10.0
     reports: bool = True
     switch_off_afterwards: bool = False
+    stop_after_failure: bool = False
     ask_for_unit: bool = False
 
 

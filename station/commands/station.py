@@ -9,9 +9,18 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from station.errors import EXIT_OK, Failure, OutOfControl, RunError, UsageError, describe_failure
+from station.errors import (
+    EXIT_OK,
+    EXIT_USAGE,
+    Failure,
+    OutOfControl,
+    RunError,
+    StationError,
+    UsageError,
+    describe_failure,
+)
 from station.shell.options import display_options, json_option, shown, transcript_option
-from station.terminal import print_json, remark, say
+from station.terminal import print_failure, print_json, remark, say
 
 if TYPE_CHECKING:
     from station.campaign.journal import CampaignOutcome, CampaignPlan
@@ -23,6 +32,7 @@ _LATEST = "latest"
 @click.command("station")
 @click.argument("file", type=click.Path(path_type=Path), metavar="FILE")
 @click.option("--unit", metavar="SN", help="Serial number of the unit under test.")
+@click.option("--loop", is_flag=True, help="One unit after the other, typed or by bar code; an empty line ends.")
 @click.option("--operator", metavar="TEXT", help="Who tests.")
 @click.option("--note", metavar="TEXT", help="What should be remembered of this test.")
 @click.option("--check", is_flag=True, help="Check the file, for every unit that it names, and do nothing.")
@@ -54,6 +64,8 @@ def command(file: Path, **given: Any) -> int:
     if given["check"]:
         units = [given["unit"]] if given["unit"] else [*units_named(file), "any other unit"]
         return _checked(file, [read_campaign(file, unit) for unit in units], given["as_json"])
+    if given["loop"]:
+        return _loop(file, given)
     unit = given["unit"] or _asked_unit()
     plan = read_campaign(file, unit)
     if given["out"] is not None:
@@ -63,6 +75,27 @@ def command(file: Path, **given: Any) -> int:
     if given["dry_run"]:
         return _dry_run(plan, given["as_json"])
     return _test(plan, given)
+
+
+def _loop(file: Path, given: dict[str, Any]) -> int:
+    """Test units until an empty line; a test that cannot be begun does not keep the next unit waiting."""
+    from dataclasses import replace
+
+    from station.campaign.file import read_campaign
+    from station.operator import ask_operator, check_terminal
+
+    if given["unit"] or given["resume"] or given["dry_run"]:
+        raise click.UsageError("--loop asks for each unit: leave --unit, --resume and --dry-run out")
+    check_terminal()
+    codes = [EXIT_OK]
+    while unit := ask_operator("Serial number of the next unit (Enter: no more): ").strip():
+        try:
+            plan = read_campaign(file, unit)
+            codes.append(_test(replace(plan, directory=given["out"] or plan.directory, ask_for_unit=False), given))
+        except StationError as error:
+            print_failure(failure := describe_failure(error) or Failure(error.kind, str(error), EXIT_USAGE))
+            codes.append(failure.exit_code)
+    return max(codes)
 
 
 def _asked_unit() -> str:

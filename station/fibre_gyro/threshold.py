@@ -521,7 +521,10 @@ def plan_refined(settings: FogSettings, run: SavedRun) -> list[PlannedSegment]:
     except ValueError:
         return []
     longest = {abs(one.input_dps): one.mean.duration_s for one in points if not one.is_reference}
-    between = [(rate, _seconds_near(abs(rate), longest)) for rate in refined(found, _own(settings).refine)]
+    between = list[tuple[float, float]]()
+    for rate in refined(found, _own(settings).refine):  # as long as the nearest smaller input
+        nearest = max((one for one in longest if one <= abs(rate)), default=min(longest))
+        between.append((rate, longest[nearest]))
     return _with_references("further ", LADDER, 0.0, between, settings, further=True)
 
 
@@ -591,11 +594,6 @@ def _too_noisy(ladder: Ladder, settings: FogSettings) -> dict[str, str]:
         f"and threshold.longest_s is {_own(settings).longest_s:g}"
         for rate, seconds in ladder.too_noisy
     }
-
-
-def _seconds_near(rate: float, known: Mapping[float, float]) -> float:
-    """As long as the nearest smaller input."""
-    return known[max((one for one in known if one <= rate), default=min(known))]
 
 
 def _with_references(

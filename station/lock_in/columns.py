@@ -311,10 +311,5 @@ def with_intact_seconds(gathered: Gathered) -> Gathered:
         labels={},
         truth={name: values[kept] for name, values in gathered.truth.items()},
         each=None if gathered.each is None else gathered.each[kept],
-        damaged=tuple(sorted({*gathered.damaged, *_list(gathered.places[lost])})),
+        damaged=tuple(sorted({*gathered.damaged, *map(int, gathered.places[lost])})),
     )
-
-
-def _list(places: NDArray[np.int64]) -> list[int]:
-    found: list[int] = places.tolist()
-    return found

@@ -309,6 +309,8 @@ def together(parts: Sequence[Gathered]) -> Gathered:
         return first
     begins = np.concatenate([[0], np.cumsum([part.taken for part in parts])])
     filled = [part.each for part in parts if part.each is not None]
+    ends = np.cumsum([0, *map(len, filled)])
+    rows = [np.arange(begin, end) for begin, end in itertools.pairwise(ends)]
     truths = dict.fromkeys(name for part in parts for name in part.truth)
     return replace(
         first,
@@ -321,7 +323,7 @@ def together(parts: Sequence[Gathered]) -> Gathered:
             name: np.concatenate([part.truth.get(name, np.full(len(part), _NAN)) for part in parts])
             for name in truths
         },
-        each=_behind_each_other(filled) if filled else None,
+        each=joined(filled, rows) if filled else None,
         fast=tuple(record for part in parts for record in part.fast),
         damaged=tuple(
             place + int(begin) for part, begin in zip(parts, begins, strict=False) for place in part.damaged
@@ -354,11 +356,6 @@ def _one_behind_the_other(columns: Sequence[NDArray[np.float64]]) -> NDArray[np.
     if firsts.size > 1 and firsts.strides == (0,):
         return np.broadcast_to(firsts[:1], (sum(column.size for column in filled),))
     return np.concatenate(columns)
-
-
-def _behind_each_other(parts: Sequence[LockInEstimate]) -> LockInEstimate:
-    ends = np.cumsum([0, *(len(part) for part in parts)])
-    return joined(parts, [np.arange(begin, end) for begin, end in itertools.pairwise(ends)])
 
 
 # --------------------

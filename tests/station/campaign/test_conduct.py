@@ -91,6 +91,32 @@ def test_a_step_that_the_bench_ends_is_gone_on_with(campaign: Write, monkeypatch
     assert len(open_run(first.run).records) == 4
 
 
+def test_steps_behind_a_failure_are_left_out_as_the_campaign_says(campaign: Write) -> None:
+    file = campaign()
+    file.write_text(file.read_text().replace("[campaign]\n", "[campaign]\nstop_after_failure = true\n"))
+    outcome = outcome_of(file, "BAD")
+    assert (outcome.verdict, outcome.exit_code) == ("FAIL", 1)
+    assert [step.verdict for step in outcome.steps] == ["FAIL"] and len(outcome.plan.steps) == 2
+
+
+LOOP = b"GOOD\nBAD\n\n"
+
+
+@pytest.mark.skipif(os.name != "posix", reason="needs a pseudo-terminal")
+def test_one_unit_after_the_other_by_bar_code(campaign: Write) -> None:
+    """A scanner types, and ends with a line; a campaign that does not go does not keep the next unit waiting."""
+    file = campaign(steps=1)
+    terminal, keyboard = os.openpty()
+    os.write(terminal, LOOP)
+    command = [sys.executable, "-m", "station.cli", "station", str(file), "--loop", "--quiet"]
+    done = subprocess.run(command, stdin=keyboard, capture_output=True, text=True, timeout=120, check=False)
+    os.close(terminal)
+    os.close(keyboard)
+    assert done.returncode == 1, done.stderr
+    assert [line.split("; ")[:2] for line in done.stdout.splitlines()] == [["GOOD", "PASS"], ["BAD", "FAIL"]]
+    assert main(["station", str(file), "--loop", "--unit", "GOOD"]) == 2
+
+
 @pytest.mark.slow
 def test_a_bench_that_stays_broken_is_an_error_and_the_rest_goes_on(
     campaign: Write, monkeypatch: pytest.MonkeyPatch

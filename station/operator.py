@@ -30,14 +30,14 @@ def ask_operator(question: str) -> str:
     return answer
 
 
-def ask_number(question: str, missing: str) -> float:
-    """Ask for a positive number until one is typed."""
+def ask_number(question: str, missing: str, default: str = "") -> float:
+    """Ask for a positive number until one is typed; Enter means the default."""
     if not sys.stdin.isatty():
         raise UsageError(missing)
     asked = question
     while True:
         try:
-            number = float(ask_operator(asked).strip().replace(",", "."))
+            number = float(ask_operator(asked).strip().replace(",", ".") or default)
         except ValueError:
             number = math.nan
         if math.isfinite(number) and number > 0:

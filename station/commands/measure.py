@@ -231,20 +231,22 @@ def start(context: click.Context, resource: str | None, to: Path, as_json: bool)
     shipped = default_settings("bench").scope
     with open_scope(resource) as scope:
         tell(f"{scope.identity.text} on {resource}; looking at its channels...")
-        seen = look_at_channels(scope, lambda name: shipped.model_copy(update={"channel": name}))
-    beats = [name for name, (text, periodic) in seen.items() if periodic and "?" not in text]
-    for name, (text, _) in seen.items():
-        tell(f"  {text}{' looks like a beat' if name in beats else ''}")
-    first = (beats or list(seen))[0]
+        seen, beats = scope.channels, list[str]()
+        for name, text, periodic in look_at_channels(
+            scope, lambda one: shipped.model_copy(update={"channel": one})
+        ):
+            beats += [name] if periodic and "?" not in text else []
+            tell(f"  {text}{' looks like a beat' if name in beats else ''}")
+    first = (beats or seen)[0]
     channel = _answered(f"Channel of the beat [{first}]: ", first, lambda text: text.upper() in seen).upper()
     factor = ask_number("Scale factor of the gyro in pulses per degree, from its data sheet: ", "no terminal")
-    expected = _answered("Lock-in rate that you expect, deg/s [0.01]: ", "0.01", _is_positive)
+    expected = ask_number("Lock-in rate that you expect, deg/s [0.01]: ", "no terminal", default="0.01")
     options = _answered(_WHO_TURNS, "none", lambda text: _table_words(text) is not None)
     kind, controller = _table_words(options) or ("none", {})
     unit = ask_operator("Serial number of the unit [none]: ").strip()
     lines = [
         "# Written by `gyrolock start`. All that can be set: `gyrolock settings bench`.",
-        f"[gyro]\nscale_factor_pulses_per_deg = {factor!r}\nexpected_lock_in_rate_dps = {float(expected)!r}",
+        f"[gyro]\nscale_factor_pulses_per_deg = {factor!r}\nexpected_lock_in_rate_dps = {expected!r}",
         f"[scope]\nresource = {json.dumps(resource)}\nchannel = {json.dumps(channel)}",
         f"[table]\nkind = {json.dumps(kind)}",
     ]
@@ -286,13 +288,6 @@ def _answered(question: str, default: str, is_right: Callable[[str], bool]) -> s
     while not is_right(answer := ask_operator(asked).strip() or default):
         asked = f"{answer!r} cannot be meant. {question}"
     return answer
-
-
-def _is_positive(text: str) -> bool:
-    try:
-        return 0 < float(text) < float("inf")
-    except ValueError:
-        return False
 
 
 # --------------------

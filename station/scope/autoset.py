@@ -2,7 +2,7 @@
 
 import contextlib
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -165,15 +165,14 @@ def fit_channel(
     return vertical
 
 
-def look_at_channels(scope: TDS2014, settings: Callable[[str], ScopeInput]) -> dict[str, tuple[str, bool]]:
-    """In words what stands on every channel, and whether it is periodic; a channel gets a scale that fits."""
-    seen: dict[str, tuple[str, bool]] = {}
+def look_at_channels(scope: TDS2014, settings: Callable[[str], ScopeInput]) -> Iterator[tuple[str, str, bool]]:
+    """Channel after channel: its name, in words what stands on it, and whether that is periodic."""
     for name in scope.channels:
         scope.set_channel(name, displayed=True, coupling="DC", probe=settings(name).probe)
         search = _BeatSearch(scope, settings(name), ScreenShape())
         search.fit_vertical(_QUICK_S)
-        seen |= search.seen_on((name,))
-    return seen
+        text, periodic = search.seen_on((name,)).get(name, (f"{name}: nothing triggers", False))
+        yield name, text, periodic
 
 
 class _BeatSearch:

@@ -41,7 +41,7 @@ def led(folder: Path, answers: Sequence[str], *options: str, signals: dict) -> t
                 if not more:
                     break
                 said += more
-                if left and said[seen:].rstrip(" ").endswith(":") and "]" in said[seen:] + "]":
+                if left and said[seen:].endswith(("]: ", "data sheet: ")):
                     seen = len(said)
                     os.write(terminal, f"{left.pop(0)}\n".encode())
             code = process.wait(20)

@@ -48,7 +48,7 @@ def sections(found: LockInEvaluation, result: Result) -> list[Section]:
         made.append(_several_rates(found, found.several))
         made += _checks(found.several)
     elif found.usable:
-        caption = "Lock-in rate of every record with its standard uncertainty, and the combined value."
+        caption = "Lock-in rate of every record with its standard uncertainty, the combined value, and the beat."
         figure = PlacedFigure(values_svg(found), caption)
         made.append(Section("Records and combined value", figures=(figure,)))
     if found.table_check is not None:
@@ -276,43 +276,43 @@ def line_svg(waveform: Waveform, order: int) -> str:
 
 
 def values_svg(evaluation: LockInEvaluation) -> str:
-    """Draw the lock-in rate of every record, the combined value, and the truth if it is known."""
+    """Draw lock-in rate and beat of every record, the combined value, and the truth if it is known."""
     combined, count = evaluation.combined, len(evaluation.names)
     apart = -(-count // RECORDS_SHOWN)
     each, number = evaluation.each[::apart], np.arange(1, count + 1, apart)
     which = "one record" if apart == 1 else f"one record in {apart}"
-    low, high = evaluation.interval_95
+    value, (low, high) = float(combined.lock_in_rate), evaluation.interval_95
+    off = np.abs(each.lock_in_rate - value) + 2 * each.lock_in_rate_u
+    reach = 1.3 * float(np.nanmax(off, initial=0.0, where=np.isfinite(off)))
+    narrow = 0 < reach < (high - low) / 6  # in a band that wide the records would be a flat line
+    # thousands of records need no caps and thin bars
+    size, line, cap = (2.5, 0.6, 0.0) if number.size > 60 else (4.0, 1.0, 2.5)
+    records = {"fmt": "o", "ms": size, "linewidth": line, "capsize": cap, "color": INK}
 
     def draw(figure: Figure) -> None:
         from matplotlib.ticker import MaxNLocator
 
-        axes = figure.add_subplot()
-        axes.axhspan(
-            low, high, color=ACCENT, alpha=0.16, linewidth=0, label="combined, 95 %, all uncertainties included"
-        )
-        axes.axhline(float(combined.lock_in_rate), color=ACCENT, linewidth=1.1)
-        # thousands of records need no caps and thin bars
-        many = number.size > 60
-        axes.errorbar(
-            number,
-            each.lock_in_rate,
-            yerr=each.lock_in_rate_u,
-            fmt="o",
-            ms=2.5 if many else 4,
-            linewidth=0.6 if many else 1.0,
-            capsize=0 if many else 2.5,
-            color=INK,
-            label=f"{which}, ±1 u of its noise",
-        )
-        if evaluation.truth is not None:
-            true = evaluation.truth[LOCK_IN_RATE.key()]
-            axes.axhline(true, color=THIRD, linestyle=(0, (5, 3)), linewidth=1.2, label="truth of the simulation")
-        axes.set(xlabel="record", ylabel="lock-in rate, deg/s", xlim=(0.4, count + 0.6))
-        axes.xaxis.set_major_locator(MaxNLocator(integer=True))
-        axes.ticklabel_format(axis="y", useOffset=False)
-        legend_above(axes)
+        above, below = figure.subplots(2, sharex=True, height_ratios=(2, 1))
+        label = "combined, 95 %, all uncertainties included"
+        above.axhspan(low, high, color=ACCENT, alpha=0.16, linewidth=0, label=label)
+        above.axhline(value, color=ACCENT, linewidth=1.1)
+        label = f"{which}, ±1 u of its noise"
+        above.errorbar(number, each.lock_in_rate, yerr=each.lock_in_rate_u, label=label, **records)
+        true = math.nan if evaluation.truth is None else evaluation.truth[LOCK_IN_RATE.key()]
+        if abs(true - value) < (reach if narrow else math.inf):
+            label = "truth of the simulation"
+            above.axhline(true, color=THIRD, linestyle=(0, (5, 3)), linewidth=1.2, label=label)
+        if narrow:
+            above.set_ylim(value - reach, value + reach)
+        below.plot(number, each.beat_frequency, "o", ms=size, color=INK)
+        above.set(ylabel="lock-in rate, deg/s", xlim=(0.4, count + 0.6))
+        below.set(xlabel="record", ylabel="beat, Hz")
+        below.xaxis.set_major_locator(MaxNLocator(integer=True))
+        for axes in (above, below):
+            axes.ticklabel_format(axis="y", useOffset=False)
+        legend_above(above)
 
-    return svg_element("values", WIDE, draw)
+    return svg_element("values", TALL, draw)
 
 
 def _windowed_spectrum(waveform: Waveform) -> tuple[Array, Array]:

@@ -126,7 +126,7 @@ def test_every_figure_is_well_formed_and_names_what_it_shows(run: SavedRun) -> N
         assert len(svg) < 120_000
         assert "Date" not in svg
     assert ">2f<" in figures[1]
-    assert "truth of the simulation" in figures[4]
+    assert "truth of the simulation" in figures[4] and "beat, Hz" in figures[4]
 
 
 def test_the_file_appears_whole_beside_the_run(run: SavedRun, tmp_path: Path) -> None:

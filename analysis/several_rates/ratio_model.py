@@ -447,7 +447,9 @@ def _of_size(point: Floats, size: Floats) -> Floats:
 
 def _ways(point: Floats, data: RatioData, chosen: Indices, held: Floats | None) -> Floats:
     """Directions in which every set may go, (ways, B, N_PARAMETERS), each of the length of its scale."""
-    scale = _scales(data)
+    # change of each parameter that changes rho of the slowest point by about one
+    slowest, fastest = float(np.min(data.beat_rate)), float(np.max(data.angular))
+    scale = np.array([slowest, slowest, 1.0, 1 / fastest, 1 / fastest**2, 1.0, 1.0, 1.0, 1.0, 1.0])
     ways = np.repeat(np.diag(scale)[chosen, np.newaxis], len(point), axis=1)
     if held is None:
         return ways
@@ -468,12 +470,6 @@ def _linearised(point: Floats, data: RatioData, prior: Prior, held: Floats | Non
     normal = jacobian.swapaxes(-1, -2) @ jacobian
     gradient = np.einsum("bnp,bn->bp", jacobian, both[-1])
     return _Linearised(point, ways, np.sum(both[-1] ** 2, axis=-1), normal, gradient, 1 / size)
-
-
-def _scales(data: RatioData) -> Floats:
-    """Change of each parameter that changes rho of the slowest point by about one, (N_PARAMETERS,)."""
-    slowest, fastest = float(np.min(data.beat_rate)), float(np.max(data.angular))
-    return np.array([slowest, slowest, 1.0, 1 / fastest, 1 / fastest**2, 1.0, 1.0, 1.0, 1.0, 1.0])
 
 
 def _starts(data: RatioData, prior: Prior) -> Floats:

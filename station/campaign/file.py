@@ -92,6 +92,7 @@ def read_campaign(path: Path, unit: str) -> CampaignPlan:
         reports=about.reports,
         switch_off_afterwards=about.switch_off_afterwards,
         stop_after_failure=about.stop_after_failure,
+        on_record=about.on_record,
         ask_for_unit=about.ask_for_unit,
     )
 
@@ -336,6 +337,7 @@ class CampaignSection(SettingsSection):
     reports: bool = True
     switch_off_afterwards: bool = False
     stop_after_failure: bool = False
+    on_record: str = ""
     ask_for_unit: bool = False
 
 

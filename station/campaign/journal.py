@@ -103,6 +103,7 @@ class CampaignPlan:
     reports: bool = True  # whether every run gets a report of its own
     # whether chamber and power supply are switched off when the test has ended
     switch_off_afterwards: bool = False
+    on_record: str = ""  # command line for the record of the test
     stop_after_failure: bool = False  # leave out what comes behind a step that is FAIL or ERROR
     ask_for_unit: bool = False  # whether an operator is asked to bring the unit before it begins
 

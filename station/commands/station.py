@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shlex
+import subprocess
 import sys
 from datetime import UTC, datetime
 from pathlib import Path
@@ -157,6 +159,8 @@ def _test(plan: CampaignPlan, given: dict[str, Any]) -> int:
             code = outcome.exit_code if lost is None or outcome.failure is not None else lost.exit_code
             progress.end(code, outcome.message if lost is None else lost.message)
     _tell(outcome, given, page)
+    if plan.on_record and page is not None:
+        _hand_on(plan.on_record, page.with_name("record.json"))
     for failure in (outcome.failure, lost):
         if failure is not None:
             remark(failure.message)
@@ -201,6 +205,18 @@ def _write_record(outcome: CampaignOutcome, evaluated: dict[str, Evaluated]) -> 
         return write_record(outcome, evaluated=evaluated).page, None
     except RunError as error:
         return None, describe_failure(error)
+
+
+def _hand_on(line: str, record: Path) -> None:
+    """Run the campaign's command with the record; what goes wrong is told and changes no verdict."""
+    try:
+        words = [word.replace("{record}", str(record)) for word in shlex.split(line)]
+        done = subprocess.run(words, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False)
+        why = f"ended with {done.returncode}: {done.stderr.strip()[-200:]}" if done.returncode else ""
+    except (OSError, ValueError) as error:
+        why = f"cannot be run ({error})"
+    if why:
+        remark(f"on_record: {line} {why}; the record is in {record}")
 
 
 def _tell(outcome: CampaignOutcome, given: dict[str, Any], page: Path | None) -> None:

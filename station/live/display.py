@@ -150,9 +150,10 @@ def picture(situation: Situation, width: int, height: int) -> RenderableType:
     if trace:
         across = width // 2 - 4 if wide else width - 4
         down = min(max(room - (0 if wide else min(len(situation.groups), _GROUPS) + 3), 5), 16 if wide else 11)
-        drawn = Panel(
-            _plot(trace, across, down), title=_of_value(situation.value), title_align="left", border_style="dim"
-        )
+        samples, fit = trace.get("samples") or [], trace.get("fit") or []
+        unit, seconds = str(trace.get("unit") or ""), float(trace.get("seconds") or 0)
+        curve = Group(*plot(samples, fit, across, down, unit=unit, seconds=seconds))
+        drawn = Panel(curve, title=_of_value(situation.value), title_align="left", border_style="dim")
         groups = _groups(
             situation.groups, min(_GROUPS, max(room - 4, 3)) if wide else min(_GROUPS, max(room - down - 4, 3))
         )
@@ -201,12 +202,6 @@ def _steps(situation: Situation) -> Text:
         before = ("  " if place else "") + ("▸ " if state == "now" else "")
         text.append(f"{before}{visible(str(step['step']))}{said}", style=_STATES.get(state, "dim"))
     return text
-
-
-def _plot(trace: Mapping[str, Any], width: int, height: int) -> Group:
-    samples, fit = trace.get("samples") or [], trace.get("fit") or []
-    unit, seconds = str(trace.get("unit") or ""), float(trace.get("seconds") or 0)
-    return Group(*plot(samples, fit, width, height, unit=unit, seconds=seconds))
 
 
 def _of_value(value: Mapping[str, Any]) -> Text:

@@ -252,7 +252,9 @@ def store(panel: Panel, key: str, value: Value) -> None:
     elif head == "SELECT" and leaf.startswith("REF") and value and not old:
         _limit_references(panel, leaf)
     elif key == "CURSOR:VBARS:UNITS" and value != old:
-        _swap_cursor_units(panel)
+        for bar in ("CURSOR:VBARS:POSITION1", "CURSOR:VBARS:POSITION2"):
+            place = panel.number(bar)
+            panel.values[bar] = float(f"{1 / place:.6e}") if place else 0.0
     if head in ("CURSOR", "HORIZONTAL", *panel.model.channel_names):
         _settle_cursors(panel)
 
@@ -333,12 +335,6 @@ def _settle_cursors(panel: Panel) -> None:
     for bars, (low, high) in bounds.items():
         for key in (f"CURSOR:{bars}:POSITION1", f"CURSOR:{bars}:POSITION2"):
             panel.values[key] = float(f"{_bounded(panel.number(key), low, high):.6e}")
-
-
-def _swap_cursor_units(panel: Panel) -> None:
-    for key in ("CURSOR:VBARS:POSITION1", "CURSOR:VBARS:POSITION2"):
-        value = panel.number(key)
-        panel.values[key] = float(f"{1 / value:.6e}") if value else 0.0
 
 
 def _bounded(value: float, low: float, high: float) -> float:

@@ -99,6 +99,30 @@ def test_steps_behind_a_failure_are_left_out_as_the_campaign_says(campaign: Writ
     assert [step.verdict for step in outcome.steps] == ["FAIL"] and len(outcome.plan.steps) == 2
 
 
+@pytest.mark.parametrize(
+    ("line", "told"),
+    [
+        ("{python} -c 'import shutil, sys; shutil.copy(sys.argv[1], \"sent.json\")' {record}", ""),
+        ("{python} -c 'import sys; sys.exit(\"no server\")'", "ended with 1: no server"),
+        ("there-is-no-such-program {record}", "cannot be run"),
+        ("send 'it", "cannot be run"),
+    ],
+)
+def test_the_record_is_handed_on(
+    campaign: Write, line: str, told: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = campaign(steps=1)
+    monkeypatch.chdir(file.parent)
+    hook = json.dumps(line.replace("{python}", sys.executable))
+    file.write_text(file.read_text().replace("[campaign]\n", f"[campaign]\non_record = {hook}\n"))
+    assert main(["station", str(file), "--unit", "GOOD", "--quiet", "--json"]) == 0
+    captured = capsys.readouterr()
+    record = Path(json.loads(captured.out)["record"])
+    assert told in captured.err and ("on_record" in captured.err) == bool(told)
+    if not told:
+        assert (file.parent / "sent.json").read_bytes() == record.read_bytes()
+
+
 LOOP = b"GOOD\nBAD\n\n"
 
 

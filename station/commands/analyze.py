@@ -123,11 +123,13 @@ def command(paths: tuple[str, ...], config: Path | None, **given: Any) -> int:
     its [limits], replace what the run holds of them, for a channel that was measured later; the rest stays. Of the
     bench that files come from nothing is known but what FILE states.
     """
-    _check(given, paths)
-    from station.sources.find import find_sources
+    _check(given)
+    from station.sources.find import find_sources, is_run
 
     with shown(given, command="analyze") as progress, _workers(given) as workers:
         sources = list(find_sources(paths))
+        if given["exclude"] and (given["combine"] or given["table"] or len(sources) > 1 or not is_run(sources[0])):
+            raise click.UsageError("--exclude is for one run: name it alone, without --combine and --to")
         analysis = Analysis(
             sources, {name: given[name] for name in _METHOD}, config, workers, progress, given["exclude"]
         )
@@ -139,7 +141,7 @@ def command(paths: tuple[str, ...], config: Path | None, **given: Any) -> int:
         return analysis.each(answer)
 
 
-def _check(given: Mapping[str, Any], paths: Sequence[str]) -> None:
+def _check(given: Mapping[str, Any]) -> None:
     """Refuse options that do not go together, before anything is read."""
     if given["jsonl"] and given["as_json"]:
         raise click.UsageError("--json and --jsonl exclude each other")
@@ -147,8 +149,6 @@ def _check(given: Mapping[str, Any], paths: Sequence[str]) -> None:
         raise click.UsageError("--to writes one row a record: without --combine and --jsonl")
     if not given["combine"] and (only := [one for one in ("rates_from", "channel", "report") if given[one]]):
         raise click.UsageError(f"--{only[0].replace('_', '-')} needs --combine")
-    if given["exclude"] and (given["combine"] or given["table"] is not None or len(paths) > 1):
-        raise click.UsageError("--exclude is for one run: name it alone, without --combine and --to")
     if given["cluster"] and given["processes"] > 1:
         raise click.UsageError("--cluster and --processes exclude each other")
 

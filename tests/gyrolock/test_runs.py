@@ -181,6 +181,27 @@ def test_records_are_left_out_as_asked(tmp_path: Path, capsys: pytest.CaptureFix
     assert found["lock_in_rate_dps"] == then["lock_in_rate_dps"] != whole.result().lock_in_rate_dps
 
 
+def test_records_of_what_is_not_one_run_are_not_left_out(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A folder of two runs, a file of an oscilloscope: there a number of a record means nothing."""
+    runs, card = tmp_path / "runs", tmp_path / "card"
+    for name in ("a", "b"):
+        (runs / name).mkdir(parents=True)
+        shutil.copy(GOLDEN / "single.sqlite", runs / name / "run.sqlite")
+    assert main(["export", str(GOLDEN / "single.sqlite"), "--tek-csv", str(card)]) == 0
+    (file, *_) = sorted(card.rglob("*.CSV"))
+    for given in (
+        [runs],
+        [file, "--scale-factor", "2000"],
+        [runs / "a", "--combine"],
+        [runs / "a", "--to", "x.csv"],
+    ):
+        capsys.readouterr()
+        assert main(["analyze", *map(str, given), "--exclude", "2"]) == 2
+        assert "--exclude is for one run" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("given", ["a", "5-", "-", "1-2-3", "999", ""])
 def test_records_that_cannot_be_meant_are_refused(given: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["analyze", str(GOLDEN / "single.sqlite"), "--exclude", given]) == 2

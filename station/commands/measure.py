@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -223,9 +224,9 @@ def start(context: click.Context, resource: str | None, to: Path, as_json: bool)
 
     tell = remark if as_json else say
     check_terminal()
-    if to.exists():
+    if to.exists() or not os.access(to.parent, os.W_OK):
         raise click.UsageError(
-            f"{to} is there already: `gyrolock measure --config {to}`, or another name with --to"
+            f"{to} is there already, or cannot be written: `gyrolock measure --config {to}`, or another --to"
         )
     resource = resource or _found_instrument(tell)
     shipped = default_settings("bench").scope
@@ -275,9 +276,8 @@ def _found_instrument(tell: Callable[[str], None]) -> str:
             f"none of {len(found)} names is an oscilloscope that can be used: `gyrolock doctor` says what is "
             "missing; give a name with --resource, or see it work without hardware: `gyrolock measure`"
         )
-    first = usable[0].resource_name
     names = [one.resource_name for one in usable]
-    return first if len(names) == 1 else _answered(f"Which one [{first}]: ", first, names.__contains__)
+    return names[0] if len(names) == 1 else _answered(f"Which one [{names[0]}]: ", names[0], names.__contains__)
 
 
 def _answered(question: str, default: str, is_right: Callable[[str], bool]) -> str:

@@ -74,6 +74,11 @@ def test_what_is_there_is_not_written_over(tmp_path: Path) -> None:
     assert (tmp_path / "bench.toml").read_text() == "[gyro]\n"
 
 
+def test_a_file_that_cannot_be_written_is_told_before_anybody_is_asked(tmp_path: Path) -> None:
+    code, said = led(tmp_path, [], "--to", "nowhere/bench.toml", signals={1: beat})
+    assert code == 2 and "cannot be written" in said and "channels" not in said
+
+
 def test_without_a_terminal_it_is_refused(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "station.cli", "start"]
     done = subprocess.run(

@@ -328,7 +328,8 @@ def write_index(
     counted = {verdict: sum(one.verdict == verdict for one in newest.values()) for verdict in _STATES}
     summary = ", ".join(f"{count} {verdict}" for verdict, count in counted.items() if count)
     units = "unit" if len(newest) == 1 else "units"
-    first = {one.unit: one.verdict for one in reversed(tests) if one.verdict in ("PASS", "MARGINAL", "FAIL")}
+    judged = [one for one in tests if one.verdict in ("PASS", "MARGINAL", "FAIL") and not one.is_reference]
+    first = {one.unit: one.verdict for one in reversed(judged)}
     if first:
         passed = sum(verdict == "PASS" for verdict in first.values())
         summary += f"; first-pass yield {passed} of {len(first)} ({passed / len(first):.0%})"

@@ -36,13 +36,7 @@ from station.errors import (
     one_line,
 )
 from station.measurements import Measurement, measurement
-from station.results.verdict import (
-    ABORTED,
-    ERROR,
-    FAIL,
-    judged,
-    worst,
-)
+from station.results.verdict import ABORTED, ERROR, FAIL, judged, worst
 from station.runs.acquisition import Taken
 from station.runs.database import utc_now
 from station.runs.progress import Progress

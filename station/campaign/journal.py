@@ -292,6 +292,9 @@ class Written:
     @property
     def left(self) -> tuple[PlannedStep, ...]:
         """Steps that are to be taken, or to be gone on with because the bench has failed them."""
+        failed = any(one.verdict in (FAIL, ERROR) and not to_repeat(one) for one in self.steps.values())
+        if self.plan.stop_after_failure and failed:
+            return ()
         return tuple(
             step for step in self.plan.steps if (one := self.steps.get(step.key)) is None or to_repeat(one)
         )

@@ -11,16 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from station.errors import (
-    EXIT_OK,
-    EXIT_USAGE,
-    Failure,
-    OutOfControl,
-    RunError,
-    StationError,
-    UsageError,
-    describe_failure,
-)
+from station.errors import EXIT_OK, Failure, OutOfControl, RunError, StationError, UsageError, describe_failure
 from station.shell.options import display_options, json_option, shown, transcript_option
 from station.terminal import print_failure, print_json, remark, say
 
@@ -29,6 +20,7 @@ if TYPE_CHECKING:
     from station.shell.finish import Evaluated
 
 _LATEST = "latest"
+_HOOK_S = 60.0  # the next unit waits no longer for a command of the campaign
 
 
 @click.command("station")
@@ -95,8 +87,9 @@ def _loop(file: Path, given: dict[str, Any]) -> int:
             plan = read_campaign(file, unit)
             codes.append(_test(replace(plan, directory=given["out"] or plan.directory, ask_for_unit=False), given))
         except StationError as error:
-            print_failure(failure := describe_failure(error) or Failure(error.kind, str(error), EXIT_USAGE))
-            codes.append(failure.exit_code)
+            if failure := describe_failure(error):
+                print_failure(failure)
+                codes.append(failure.exit_code)
     return max(codes)
 
 
@@ -159,7 +152,7 @@ def _test(plan: CampaignPlan, given: dict[str, Any]) -> int:
             code = outcome.exit_code if lost is None or outcome.failure is not None else lost.exit_code
             progress.end(code, outcome.message if lost is None else lost.message)
     _tell(outcome, given, page)
-    if plan.on_record and page is not None:
+    if plan.on_record.strip() and page is not None:
         _hand_on(plan.on_record, page.with_name("record.json"))
     for failure in (outcome.failure, lost):
         if failure is not None:
@@ -211,9 +204,11 @@ def _hand_on(line: str, record: Path) -> None:
     """Run the campaign's command with the record; what goes wrong is told and changes no verdict."""
     try:
         words = [word.replace("{record}", str(record)) for word in shlex.split(line)]
-        done = subprocess.run(words, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False)
+        done = subprocess.run(
+            words, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False, timeout=_HOOK_S
+        )
         why = f"ended with {done.returncode}: {done.stderr.strip()[-200:]}" if done.returncode else ""
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, subprocess.TimeoutExpired) as error:
         why = f"cannot be run ({error})"
     if why:
         remark(f"on_record: {line} {why}; the record is in {record}")

@@ -133,6 +133,7 @@ class Acquisition:
         return self.writer
 
     def _tell_begun(self, facts: Mapping[str, object]) -> None:
+        self.progress.of_all(0, 0)  # what the run before has counted is over
         """Tell those who watch that the run begins, and let them hear of every record."""
         if self.writer is None:
             return

@@ -6,6 +6,7 @@ import shutil
 import sqlite3
 import subprocess
 import sys
+import tracemalloc
 from contextlib import closing
 from pathlib import Path
 
@@ -15,7 +16,7 @@ import pytest
 from station.cli import main
 from station.errors import RunError
 from station.runs.database import journal_of
-from station.runs.salvage import salvage
+from station.runs.salvage import rows_of, salvage
 from station.runs.store import NewRecord, RunWriter, SavedRun, open_run
 
 PREAMBLE = '1;8;BIN;RI;MSB;2500;"Ch1";Y;1.0E-4;0;0.0E0;"s";4.0E-3;0.0E0;0.0E0;"Volts"'
@@ -220,6 +221,22 @@ def test_a_number_that_is_damaged_is_no_count_of_records(tmp_path: Path, number:
         assert main(["salvage", str(copy), "--json", "--out", str(folder / "out")]) == 0
         told = json.loads(capsys.readouterr().out)
         assert len(told["lost"]) < 1100 and told["records"] in (5, 6)
+
+
+@pytest.mark.parametrize("length", [20_000, 1 << 25])
+def test_pages_that_follow_each_other_in_a_circle_end(length: int) -> None:
+    """A row that would go on in another, which goes on in itself: no row, and no memory of its claimed length."""
+    size, at = 4096, 100
+    claimed = bytes([0x80 | length >> shift & 0x7F for shift in (28, 21, 14, 7)]) + bytes([length & 0x7F])
+    page = bytearray(b"\x02" * size)  # wherever the row leaves the page, 02020202 follows
+    page[0], page[3:5], page[8:10] = 0x0D, (1).to_bytes(2, "big"), at.to_bytes(2, "big")
+    page[at : at + len(claimed) + 1] = claimed + b"\x01"
+    circle = {0x02020202: b"\x02" * size}
+    tracemalloc.start()
+    found = list(rows_of(bytes(page), False, circle))
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert found == [] and peak < 2_000_000
 
 
 GOLDEN = Path(__file__).parents[1] / "golden"

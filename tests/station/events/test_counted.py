@@ -49,6 +49,22 @@ def test_the_whole_count_goes_on_where_the_plan_changes() -> None:
     assert seen[-1]["all_left_s"] == 0.0
 
 
+def test_a_second_run_of_one_program_has_its_own_count(tmp_path: Path) -> None:
+    """As the steps of a campaign: what the first counted is no part of the second, of whatever kind."""
+    settings = load_settings(overrides=ideal_bench(measurement={"records": 2}, table={"kind": "none"}))
+    seen: list[dict[str, object]] = []
+    progress = Progress(quiet=True)
+    progress.events.read_by(lambda event: seen.append(dict(event.facts)) if event.kind == "counted" else None)
+    for _ in range(2):
+        instruments = build_instruments(settings, VirtualClock())
+        facts = facts_of("measure", settings.model_dump(mode="json"), simulated=True)
+        session = Acquisition(facts, tmp_path, progress)
+        with serve(instruments.scope, "tcp") as resource, open_scope(resource, read_twice=False) as scope:
+            bench = Bench(scope, None, sleep=instruments.clock.sleep)
+            assert take(session, lambda of, bench=bench: take_on(bench, settings, of)).failure is None
+    assert [(one["all_done"], one["all_total"]) for one in seen] == [(1, 2), (2, 2)] * 2
+
+
 def test_a_link_that_is_lost_is_told_at_once(tmp_path: Path) -> None:
     settings = load_settings(overrides=ideal_bench(measurement={"records": 3}, table={"kind": "none"}))
     instruments = build_instruments(settings, VirtualClock())

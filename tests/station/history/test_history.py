@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from station.cli import main
-from station.history import courses, in_control, read_tests
+from station.history import course_svg, courses, in_control, read_tests
 
 NOW = datetime(2026, 11, 22, 12, 0, tzinfo=UTC)
 STEADY = (0.01 + 1e-5 * np.random.default_rng(5).standard_normal(30)).tolist()
@@ -148,6 +148,7 @@ def test_a_chart_has_its_limit_its_unit_and_what_it_is_worth(tmp_path: Path) -> 
     assert f"Cpk {cpk:.2f}." in page
     (course,) = (one for one in courses(read_tests(tmp_path)[0]) if "lock_in" in one.name)
     assert course.numbers[-1].axis == "lock-in rate, deg/s" and course.numbers[-1].limits == (None, 0.0101)
+    assert "#a93226" in course_svg(course, "chart")  # the limit, in red
     assert course.unit_at(1).startswith("SN0\n") and course.unit_at(99) == ""
 
 

@@ -6,12 +6,11 @@ and numbers, as `frame_format` describes them), `record_builder` (when, with `ho
 """
 
 from instrument.errors import CommandRefused, FrameFormatError, NoAcknowledgement
-from instrument.fibre_gyro.frame_fields import TABLE_ANGLE
+from instrument.fibre_gyro.frame_fields import ANGLE_UNITS, OUTPUT_UNITS, TABLE_ANGLE
 from instrument.fibre_gyro.frame_format import FrameFormat, parse_frame_format
 from instrument.fibre_gyro.link import FibreGyroLink
-from instrument.fibre_gyro.logs import OUTPUT_UNITS, GyroLog, LogChoices, read_gyro_log, read_log, write_gyro_log
+from instrument.fibre_gyro.logs import GyroLog, LogChoices, read_gyro_log, read_log, write_gyro_log
 from instrument.fibre_gyro.recording import (
-    ANGLES,
     HOST_CLOCK_U,
     Gap,
     HostClock,
@@ -21,7 +20,7 @@ from instrument.fibre_gyro.recording import (
 )
 
 __all__ = [
-    "ANGLES",
+    "ANGLE_UNITS",
     "HOST_CLOCK_U",
     "OUTPUT_UNITS",
     "TABLE_ANGLE",

@@ -1,17 +1,18 @@
-"""The fields of a frame: what may be described, how the description is read, and checksums."""
+"""The fields of a frame: how they are described, and checksums; the columns of a log and their units."""
 
 from __future__ import annotations
 
 import binascii
 import math
+import re
 import zlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
 from operator import xor
 from typing import Any, Literal, cast
 
-from instrument.errors import FrameFormatError
+from instrument.errors import FileFormatError, FrameFormatError
 
 # --------------------
 # A table of a settings file, read strictly: every entry is asked for by name, and none may be left over
@@ -260,8 +261,19 @@ TABLE_ANGLE = "table_deg"  # of the rate table by its encoder, deg
 FIXED, PARITY, CHECK = "fixed", "parity", "check"
 _WITHOUT_VALUE = (UNUSED, FIXED, PARITY, CHECK)
 
-FRAME_UNITS = ("counts", "deg/s", "deg/h", "rad/s", "deg", "rad")
-"""Units of an output; the last two are the angle since the output before."""
+RATE_UNITS = {
+    **{"deg/s": 1.0, "deg/h": 1 / 3600, "rad/s": 180 / math.pi, "mdeg/s": 1e-3, "mrad/s": 0.18 / math.pi},
+    **{"urad/s": 1.8e-4 / math.pi, "arcsec/s": 1 / 3600},
+}
+"""Units of an output that is a rate, deg/s."""
+
+ANGLE_UNITS = {
+    **{"deg": 1.0, "rad": 180 / math.pi, "mdeg": 1e-3, "mrad": 0.18 / math.pi, "urad": 1.8e-4 / math.pi},
+    **{"arcsec": 1 / 3600},
+}
+"""Units of an output that is the angle since the output before, deg: its rate depends on the interval."""
+
+OUTPUT_UNITS = (COUNTS, *RATE_UNITS, *ANGLE_UNITS)
 
 _LARGEST_CYCLE = 256
 _LONGEST_ORDER = 8
@@ -313,7 +325,7 @@ class Field:
     data_bits: int = 8  # bits of each byte that carry data; those above them must be 0
     # bits of the number; of all that the bytes carry, those above it must be 0. 0: all.
     value_bits: int = 0
-    unit: str = COUNTS  # of an output, one of `FRAME_UNITS`
+    unit: str = COUNTS  # of an output, one of `OUTPUT_UNITS`
     expected: int = 0  # what a fixed field holds
     decimals: int | None = None  # digits behind the point that a number in text must have
     cycle: int = 0  # frames after which `quantities` come again; 0 for a field that always holds the same
@@ -452,7 +464,7 @@ def _read_value(entry: Description, one: Field, binary: bool) -> Field:
         offset=entry.number("offset", 0.0),
         lowest=lowest,
         highest=highest,
-        unit=entry.choice("unit", FRAME_UNITS, COUNTS) if is_output(one.name) else COUNTS,
+        unit=entry.choice("unit", OUTPUT_UNITS, COUNTS) if is_output(one.name) else COUNTS,
         decimals=decimals,
     )
 
@@ -544,3 +556,127 @@ def _check_cycles(table: Description, fields: list[Field], counter: CounterRule 
             known.delivers for known in fields
         ):
             raise table.error("fields", f"{one.name}.quantities: a name is there twice")
+
+
+# --------------------
+# What the columns of a log are called, and in which units they stand
+
+
+TIME, DATE = "time", "date"
+SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0, "h": 3600.0, "ns": 1e-9}
+_TIME_WORDS = {"sec": "s", "second": "s", "msec": "ms", "usec": "us", "nsec": "ns", "minute": "min", "hour": "h"}
+TEMPERATURE_UNITS = {
+    **dict.fromkeys(("", "c", "degc", "deg_c", "deg c", "°c", "celsius"), (0.0, 1.0)),
+    **dict.fromkeys(("k", "kelvin"), (273.15, 1.0)),
+    **dict.fromkeys(("f", "degf", "deg_f", "deg f", "°f"), (32.0, 1.8)),
+}
+"""What 0 deg C is in a unit, and how many of it are 1 K."""
+
+EACH = "/sample"  # the angle since the output before
+
+_DEFAULT = {1: (COUNTS,), 2: (TIME, COUNTS)}
+_LONG_DEFAULT = (TIME, COUNTS, TEMPERATURE)
+_SYNONYMS = {
+    TIME: ("time", "t", "seconds", "second", "sec", "timestamp", "time_stamp", "datetime", "date_time"),
+    DATE: ("date", "datum"),
+    COUNTS: ("counts", "count", "output", "gyro", "n", "f", "lsb", "pulses", "rate", "fog"),
+    TEMPERATURE: ("temperature", "temp", "t_c", "temperature_degc"),
+    STATUS: ("status",),
+    TABLE_ANGLE: ("table_deg", "table_angle", "table_position", "encoder_deg", "encoder_angle"),
+    COUNTER: ("counter", "frame", "frame_number", "seq", "sequence", "index", "sample"),
+}
+_INCREMENT = r"(?:delta_?|d_?)(?:theta|angle)|angle_increment|increment"
+_AXIS = re.compile(
+    rf"(?:counts?|gyro|g|w|omega|rate|n|f|output|fog|axis|{_INCREMENT})?_?([xyz])(?:_?(?:axis|counts?|gyro|rate))?"
+)
+_SUFFIX = re.compile(
+    r"_(s|sec|ms|us|ns|min|m?dps|dph|rps|m?deg_?[sh]|m?degp[sh]|[mu]?rad_s|arcsec_s|m?deg|[mu]?rad|arcsec)$"
+)
+_BRACKET = re.compile(r"\s*[\[(]\s*([^\])]*?)\s*[\])]\s*$")
+_UNIT_WORDS = {
+    **dict.fromkeys(("count", "lsb", "pulses", "pulse", "codes", "code", "digits", ""), COUNTS),
+    **{"dps": "deg/s", "mdps": "mdeg/s", "dph": "deg/h", "rps": "rad/s", "degps": "deg/s", "degph": "deg/h"},
+    **{"mdegps": "mdeg/s", "asec": "arcsec"},
+}
+
+
+def axis_column(axis: str) -> str:
+    """Name of the column with the output of one axis.
+
+    >>> axis_column("Z")
+    'counts_z'
+    """
+    return f"{COUNTS}_{axis.lower()}"
+
+
+def default_names(width: int) -> list[str]:
+    """Names of the columns of a file without a header."""
+    known = _DEFAULT.get(width, _LONG_DEFAULT)
+    return [*known, *(f"column_{number}" for number in range(len(known) + 1, width + 1))]
+
+
+def named_columns(header: Sequence[str]) -> tuple[list[str], list[str]]:
+    """Our names of the columns of a header, and the units that it gives ("" where it gives none).
+
+    >>> named_columns(["Time [ms]", "Gyro X (deg/h)", "T_C", "hot"])
+    (['time', 'counts_x', 'temperature', 'hot'], ['ms', 'deg/h', '', ''])
+    """
+    pairs = [_named(cell.strip()) for cell in header]
+    return [name for name, _ in pairs], [unit for _, unit in pairs]
+
+
+def _named(cell: str) -> tuple[str, str]:
+    word, unit = cell, ""
+    if found := _BRACKET.search(cell):
+        word, unit = cell[: found.start()], found[1].strip().lower()
+    word = re.sub(r"[\s.-]+", "_", word.strip().lower())
+    for name, synonyms in _SYNONYMS.items():
+        if word in synonyms:
+            return name, unit
+    suffix = _SUFFIX.search(word) if not unit else None
+    for stem, its_unit in ((word[: suffix.start()], suffix[1]) if suffix else (word, unit), (word, unit)):
+        increment = re.match(rf"(?:{_INCREMENT})(?![a-z])", stem)
+        its_unit += EACH if increment and its_unit and not its_unit.endswith(EACH) else ""
+        if increment and increment.end() == len(stem):
+            return COUNTS, its_unit
+        for name, synonyms in _SYNONYMS.items():
+            if stem in synonyms and name in (TIME, COUNTS, TEMPERATURE):
+                return name, its_unit
+        if axis := _AXIS.fullmatch(stem):
+            return axis_column(axis[1]), its_unit
+    return word, unit
+
+
+def is_unit(word: str) -> bool:
+    """Whether a cell below a header is the unit of its column, or none."""
+    plain = word.lower()
+    return plain in TEMPERATURE_UNITS or _time_unit(word) in SECONDS or _plain_unit(plain) in OUTPUT_UNITS
+
+
+def _time_unit(word: str) -> str:
+    plain = word.strip().lower().replace("µ", "u").replace("μ", "u").rstrip("s") or word
+    return _TIME_WORDS.get(plain, word.strip().lower())
+
+
+def seconds_of(unit: str) -> float:
+    """Seconds in one unit of time; FileFormatError if there is no such unit."""
+    if (plain := _time_unit(unit)) not in SECONDS:
+        raise FileFormatError(f"the unit of time must be one of {', '.join(SECONDS)}, not {unit!r}")
+    return SECONDS[plain]
+
+
+def output_unit(unit: str, name: str) -> str:
+    """Unit of an output as `OUTPUT_UNITS` has it; FileFormatError if it is none of them."""
+    if (plain := _plain_unit(unit)) not in OUTPUT_UNITS:
+        raise FileFormatError(
+            f"the unit of {name} is {unit!r}; it must be one of {', '.join(OUTPUT_UNITS)}: say which with the "
+            "option or setting units"
+        )
+    return plain
+
+
+def _plain_unit(unit: str) -> str:
+    plain = re.sub(r"[µμ]", "u", unit.lower()).replace("°", "deg").replace(" ", "").removesuffix(EACH)
+    plain = re.sub(r"^(m|u|)(deg|rad)(ree|ian)?s?", r"\1\2", plain)
+    plain = re.sub(r"(?:/|_|per)(s|h)(?:ec|r|econd|our)?s?$", r"/\1", plain)
+    return _UNIT_WORDS.get(plain, plain)

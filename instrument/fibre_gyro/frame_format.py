@@ -174,7 +174,7 @@ class FrameFormat:
 
     @property
     def unit(self) -> str:
-        """Unit of all outputs, one of `FRAME_UNITS`."""
+        """Unit of all outputs, one of `OUTPUT_UNITS`."""
         return next((entry.unit for entry in self.fields if is_output(entry.name)), COUNTS)
 
     @property

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import csv
 import datetime
+import gzip
 import io
 import itertools
 import os
 import re
+import zlib
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import IO
@@ -18,8 +21,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from instrument.errors import FileFormatError
-from instrument.fibre_gyro.frame_fields import COUNTER, COUNTS, STATUS, TABLE_ANGLE, TEMPERATURE, is_output
-from instrument.fibre_gyro.recording import Floats, Gap, Losses, Recording
+from instrument.fibre_gyro.frame_fields import (
+    ANGLE_UNITS,
+    COUNTER,
+    COUNTS,
+    DATE,
+    EACH,
+    STATUS,
+    TABLE_ANGLE,
+    TEMPERATURE,
+    TEMPERATURE_UNITS,
+    TIME,
+    axis_column,
+    default_names,
+    is_output,
+    is_unit,
+    named_columns,
+    output_unit,
+    seconds_of,
+)
+from instrument.fibre_gyro.recording import Floats, Gap, Losses, Recording, counts_per_unit
 from instrument.text_files import open_plain_file
 
 _DOUBLED = 0.02  # of the rows: more equal time stamps than these are coarse stamps, not doubled rows
@@ -35,8 +56,9 @@ class LogChoices:
     # temperature.
     columns: Sequence[str] | None = None
     time_unit: str = ""  # "s", "ms", "us", "min" or "h"; "": what the header says, else s
-    units: str = ""  # of the output, a key of `OUTPUT_UNITS`; "": what the header says, else counts
+    units: str = ""  # of the output, one of `OUTPUT_UNITS`; "": what the header says, else counts
     interval_s: float | None = None  # between two outputs; needed where there is no column of the time
+    skip_bad_rows: int = 0  # how many rows that cannot be read are left out, named in the losses
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +67,7 @@ class GyroLog:
 
     begin_s: float  # time of the first row by the file's own column; 0 without one
     outputs: dict[str, Floats]  # columns with an output: "counts", "counts_x",
-    unit: str  # of all outputs, a key of `OUTPUT_UNITS`
+    unit: str  # of all outputs, one of `OUTPUT_UNITS`
     rest: Recording  # times, further columns and gaps; its counts are the first output's
 
     def recording(self, axis: str = "", *, counts_per_dps: float | None = None) -> Recording:
@@ -56,7 +78,7 @@ class GyroLog:
         axis : str
             Which, where the log holds several; the others become further columns of the recording.
         counts_per_dps : float, optional
-            Turns an output in deg/s or deg/h into counts.
+            Turns an output that is a rate or an angle into counts.
 
         Raises
         ------
@@ -67,7 +89,7 @@ class GyroLog:
         if self.unit != COUNTS:
             if counts_per_dps is None:
                 raise FileFormatError(f"the output is in {self.unit}: say how many counts 1 deg/s is")
-            scale = OUTPUT_UNITS[self.unit] * counts_per_dps
+            scale = counts_per_unit(self.unit, self.rest.interval_s, counts_per_dps)
         scaled = {name: scale * values if scale != 1.0 else values for name, values in self.outputs.items()}
         if len(scaled) == 1:
             return replace(self.rest, counts=next(iter(scaled.values())))
@@ -86,9 +108,15 @@ def read_log(path: str | os.PathLike[str], choices: LogChoices | None = None) ->
     """Read a log."""
     file = Path(path)
     try:
-        with open_plain_file(file) as stream:
-            text = io.TextIOWrapper(stream, encoding="utf-8-sig", errors="replace")
-            return _read(text, choices or LogChoices())
+        with open_plain_file(file) as plain:
+            start = plain.read(2)
+            plain.seek(0)
+            encoding = "utf-16" if start in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig"
+            with gzip.open(plain) if start == b"\x1f\x8b" else nullcontext(plain) as stream:
+                text = io.TextIOWrapper(stream, encoding=encoding, errors="replace")
+                return _read(text, choices or LogChoices())
+    except (EOFError, zlib.error, gzip.BadGzipFile) as error:
+        raise FileFormatError(f"{file}: is compressed and cannot be unpacked to its end ({error})") from None
     except FileFormatError as error:
         said = str(error)
         raise FileFormatError(said if said.startswith(f"{file}: ") else f"{file}: {said}") from None
@@ -101,11 +129,12 @@ def read_gyro_log(
     time_unit: str | None = None,
     interval_s: float | None = None,
     units: str | None = None,
+    skip_bad_rows: int = 0,
     axis: str = "",
     counts_per_dps: float | None = None,
 ) -> Recording:
     """Read a log of one gyro, or one axis of it, as a recording."""
-    log = read_log(path, LogChoices(columns, time_unit or "", units or "", interval_s))
+    log = read_log(path, LogChoices(columns, time_unit or "", units or "", interval_s, skip_bad_rows))
     try:
         return log.recording(axis, counts_per_dps=counts_per_dps)
     except FileFormatError as error:
@@ -122,7 +151,7 @@ def _read(text: IO[str], choices: LogChoices) -> GyroLog:
         units.extend(found)
         return names
 
-    _, names, table = read_table(text, names_of)
+    names, table = read_table(text, names_of, choices.skip_bad_rows)
     columns = {name: table.values[:, place].copy() for place, name in enumerate(one for one in names if one)}
     unit_of = {name: unit for name, unit in zip(names, units, strict=True) if name}
     outputs = {name: columns.pop(name) for name in list(columns) if is_output(name)}
@@ -130,12 +159,21 @@ def _read(text: IO[str], choices: LogChoices) -> GyroLog:
     _check_words(outputs, table.lines)
     if (unit_of_angle := unit_of.get(TABLE_ANGLE, "")) not in ("", "deg", "degree", "degrees", "°"):
         raise FileFormatError(f"the angle of the table must be in deg, not in {unit_of_angle!r}")
-    counter, status = columns.pop(COUNTER, None), columns.pop(STATUS, None)
-    times = columns.pop(TIME, None)
-    if times is not None:
-        times = times * seconds_of(choices.time_unit or unit_of[TIME] or _unit_of_epoch(times))
+    if TEMPERATURE in columns:
+        if (unit_of_t := unit_of[TEMPERATURE]) not in TEMPERATURE_UNITS:
+            raise FileFormatError(f"the unit of the temperature must be degC, K or degF, not {unit_of_t!r}")
+        zero, each = TEMPERATURE_UNITS[unit_of_t]
+        columns[TEMPERATURE] = (columns[TEMPERATURE] - zero) / each
+    if TIME in columns:
+        seconds = seconds_of(choices.time_unit or unit_of[TIME] or _unit_of_epoch(columns[TIME]))
+        columns[TIME] = columns[TIME] * seconds
+        kept = _in_order(columns[TIME], table, choices.skip_bad_rows, counted=COUNTER in columns)
+        table = replace(table, values=table.values[kept], lines=table.lines[kept])
+        columns, outputs = ({name: one[kept] for name, one in each.items()} for each in (columns, outputs))
+    counter, status, times = (columns.pop(name, None) for name in (COUNTER, STATUS, TIME))
     clock, kind = _clock(times, counter, table, choices.interval_s)
     gaps = _gaps(clock)
+    missing, bad = sum(gap.missing for gap in gaps), Counter(table.bad)
     rest = Recording(
         times=np.asarray(clock.interval_s * clock.places if clock.regular or times is None else times - times[0]),
         counts=next(iter(outputs.values())),
@@ -143,7 +181,7 @@ def _read(text: IO[str], choices: LogChoices) -> GyroLog:
         status=None if status is None else status.astype(np.int64),
         extra=columns,
         gaps=gaps,
-        losses=Losses(good=len(table.lines), missing=sum(gap.missing for gap in gaps)),
+        losses=Losses(good=len(table.lines), missing=missing, unusable=bad.total(), reasons=dict(bad)),
         interval_s=clock.interval_s,
         clock=kind,
     )
@@ -155,7 +193,6 @@ def _read(text: IO[str], choices: LogChoices) -> GyroLog:
 
 def _names(dialect: Dialect, choices: LogChoices) -> tuple[list[str], list[str]]:
     """Names of the columns and the units that they come with."""
-    none = [""] * dialect.width
     header = named_columns(dialect.header) if dialect.header is not None else None
     if choices.columns is not None:
         names, units = named_columns(choices.columns)
@@ -163,8 +200,14 @@ def _names(dialect: Dialect, choices: LogChoices) -> tuple[list[str], list[str]]
             units = [own or theirs for own, theirs in zip(units, header[1], strict=True)]
     elif header is not None:
         names, units = header
+        names = [
+            "" if nothing and name != TIME and not is_output(name) else name
+            for name, nothing in zip(names, dialect.is_empty, strict=True)
+        ]
     else:
-        names, units = default_names(dialect.width), none
+        dated = dialect.dated and dialect.width > 1
+        names = [DATE, *default_names(dialect.width - 1)] if dated else default_names(dialect.width)
+        units = [""] * dialect.width
     _check_names(names, choices)
     return names, units
 
@@ -214,7 +257,13 @@ def _output_unit(outputs: dict[str, Floats], unit_of: dict[str, str], given: str
     units = {output_unit(unit_of[name], name) for name in outputs}
     if len(units) > 1:
         raise FileFormatError(f"the outputs stand in {' and '.join(sorted(units))}: they must have one unit")
-    return units.pop()
+    unit = units.pop()
+    if unit in ANGLE_UNITS and not any(unit_of[name].endswith(EACH) for name in outputs):
+        raise FileFormatError(
+            f"the unit of the output is {unit}: if that is the angle since the output before, say so with the "
+            f"option or setting units ({unit}); an angle since the begin is no output of a rate gyro"
+        )
+    return unit
 
 
 # ---------------------------------------------------------------------- time
@@ -224,8 +273,6 @@ def _clock(
     times: Floats | None, counter: Floats | None, table: LogTable, interval_s: float | None
 ) -> tuple[LogClock, str]:
     """Place of every row, and what that rests on."""
-    if times is not None:
-        _check_order(times, table, coarse_allowed=counter is None)
     if table.lines.size < 2 and interval_s is None:
         raise FileFormatError("one row alone does not tell the interval of the output; give it as interval_s")
     if counter is not None and table.lines.size > 1:
@@ -245,24 +292,54 @@ def _clock(
     return find_clock(times - times[0], interval_s), "time column"
 
 
-def _check_order(times: Floats, table: LogTable, *, coarse_allowed: bool) -> None:
+def _in_order(times: Floats, table: LogTable, skip: int, *, counted: bool) -> NDArray[np.bool_]:
+    """Which rows stay so that time goes on; a clock that was set back is set on again, in `times` itself."""
+    kept = np.ones(times.size, dtype=bool)
+    while True:
+        rows = np.flatnonzero(kept)
+        at = _wrong_row(times[rows], table.values[rows], counted)
+        if at is None:
+            return kept
+        row, before = rows[at + 1], rows[at]
+        _leave_out(
+            table.bad,
+            skip,
+            f"line {table.lines[row]}: {times[row]:.9g} s comes after {times[before]:.9g} s",
+            "rows are doubled, out of order, or two runs stand in one file",
+        )
+        steps = np.diff(times[rows])
+        behind = times[rows[at + 2]] if at + 2 < rows.size else np.inf
+        if steps[at] == 0 or behind > times[before]:
+            kept[row] = False
+        else:
+            times[row:] += times[before] - times[row] + np.median(steps[steps > 0])
+
+
+def _wrong_row(times: Floats, values: Floats, counted: bool) -> int | None:
+    """The row before the first that does not come later than it."""
     steps = np.diff(times)
     wrong = np.flatnonzero(steps < 0)
     if not wrong.size:
         doubled = np.flatnonzero(steps == 0)
-        wrong = doubled if coarse_allowed and 0 < doubled.size <= _DOUBLED * steps.size + 1 else wrong
+        wrong = doubled if not counted and 0 < doubled.size <= _DOUBLED * steps.size + 1 else wrong
         # rows with one time stamp are coarse stamps where their outputs differ, and doubled where nothing does
-        equal = np.sum(table.values[1:] == table.values[:-1], axis=1) + (steps > 0) == table.values.shape[1]
+        equal = np.sum(values[1:] == values[:-1], axis=1) + (steps > 0) == values.shape[1]
         others = np.count_nonzero(equal) - np.count_nonzero(equal[doubled])
         often = 2 * np.count_nonzero(equal[doubled]) > doubled.size and 2 * others < steps.size - doubled.size
         if doubled.size and (doubled.size == steps.size or often):
             wrong = doubled
-    if wrong.size:
-        at = int(wrong[0])
-        raise FileFormatError(
-            f"line {table.lines[at + 1]}: {times[at + 1]:.9g} s comes after {times[at]:.9g} s; "
-            "rows are doubled, out of order, or two runs stand in one file"
-        )
+    return int(wrong[0]) if wrong.size else None
+
+
+def _leave_out(bad: list[str], skip: int, said: str, remedy: str) -> None:
+    """Note a row that is left out; FileFormatError where no more of them may be."""
+    if len(bad) < skip:
+        bad.append(said)
+        return
+    more = f"after {skip} that were left out, " if skip else ""
+    raise FileFormatError(
+        f"{more}{said}; {remedy}, or leave such rows out with the option or setting skip_bad_rows"
+    )
 
 
 def _counted(counter: Floats, table: LogTable) -> Places:
@@ -303,9 +380,15 @@ class Dialect:
 
     separator: str | None  # none for any number of blanks
     decimal_comma: bool
-    header: list[str] | None  # cells of the line above the numbers that has as many columns
+    header: list[str] | None  # cells of the line above the numbers that has as many columns, with their units
     first_line: int  # line of the first row
-    width: int  # columns
+    is_empty: list[bool]  # of each column, whether nothing stands there
+    dated: bool  # whether the first row begins with a date alone
+
+    @property
+    def width(self) -> int:
+        """Columns."""
+        return len(self.is_empty)
 
 
 @dataclass(frozen=True)
@@ -314,20 +397,22 @@ class LogTable:
 
     values: Floats
     lines: NDArray[np.int64]
+    bad: list[str]  # rows that were left out: line, and what is wrong with it
 
 
 Names = Callable[[Dialect], list[str]]  # gives each column its name, "" to leave it out
 
 
-def read_table(text: IO[str], names_of: Names) -> tuple[Dialect, list[str], LogTable]:
-    """Read all rows."""
+def read_table(text: IO[str], names_of: Names, skip: int = 0) -> tuple[list[str], LogTable]:
+    """Read all rows; a column of dates beside that of clock times goes into it."""
     blocks = _blocks(text)
     first = next(blocks, None)
     if first is None:
         raise FileFormatError("there is not one row of numbers; is it the right file?")
     dialect = _dialect(first[1])
     names = names_of(dialect)
-    parts, lines = [], []
+    parts, lines, bad = [], [], list[str]()
+    days: dict[str, int] = {}
     for begin, block in itertools.chain([first], blocks):
         numbered = [
             (number, line)
@@ -335,21 +420,14 @@ def read_table(text: IO[str], names_of: Names) -> tuple[Dialect, list[str], LogT
             if line and number >= dialect.first_line and not line.startswith(_COMMENTS)
         ]
         if numbered:
-            parts.append(_numbers(numbered, dialect, names))
-            lines.append(np.array([number for number, _ in numbered], dtype=np.int64))
-    return dialect, names, LogTable(np.concatenate(parts), np.concatenate(lines))
-
-
-def seconds_of_day(cell: str) -> float:
-    """Seconds of a clock time such as 12:30:01.25, or of a date with one; ValueError if it is neither."""
-    if "-" in cell[1:] or "/" in cell:
-        moment = datetime.datetime.fromisoformat(cell.replace("/", "-").replace("Z", "+00:00"))
-        return (moment.replace(tzinfo=None) - datetime.datetime(2000, 1, 1)).total_seconds()
-    parts = cell.split(":")
-    if not 2 <= len(parts) <= 3:
-        raise ValueError(cell)
-    hours, minutes, seconds = (float(part) for part in (*parts, "0")[:3])
-    return 3600.0 * hours + 60.0 * minutes + seconds
+            numbers, kept = _numbers(numbered, dialect, names, days, bad, skip)
+            parts.append(numbers)
+            lines.append(np.array(kept, dtype=np.int64))
+    values = np.concatenate(parts)
+    if days:
+        at = sum(name not in ("", DATE) for name in names[: names.index(TIME)])
+        values[:, at] = _since_2000(values[:, at], list(days))
+    return ["" if name == DATE else name for name in names], LogTable(values, np.concatenate(lines), bad)
 
 
 def _blocks(text: IO[str]) -> Iterator[tuple[int, list[str]]]:
@@ -375,16 +453,24 @@ def _dialect(block: list[str]) -> Dialect:
     width = Counter(len(split_row(line, separator)) for line in sample).most_common(1)[0][0]
     comma = separator != ","
     header = None
-    for number, line in lines:
+    for place, (number, line) in enumerate(lines):
         cells = split_row(line, separator)
         numeric = [_is_number(cell, comma) for cell in cells]
-        if len(cells) == width and (numeric[0] or 2 * sum(numeric) > width):
-            decimal_comma = comma and any("," in other for at, other in lines if at >= number)
-            return Dialect(separator, decimal_comma, header, number, width)
+        dated = _DATE.fullmatch(cells[0]) is not None
+        if len(cells) == width and (numeric[0] or dated or 2 * sum(numeric) > width):
+            rows = [split_row(other, separator) for _, other in lines[place : place + _SAMPLE]]
+            columns = zip(*(row for row in rows if len(row) == width), strict=True)
+            is_empty = [not any(cells) for cells in columns]
+            decimal_comma = comma and any("," in other for _, other in lines[place:])
+            return Dialect(separator, decimal_comma, header, number, is_empty, dated)
         if len(cells) != width and any(numeric) and all(numeric):
-            return Dialect(separator, False, header, number, width)
+            return Dialect(separator, False, header, number, [False] * width, False)
         if len(cells) == width:
-            header = cells
+            units = [cell.strip("[]() ") for cell in cells]
+            if header is not None and any(units) and all(map(is_unit, units)):
+                header = [f"{name} [{unit}]" for name, unit in zip(header, units, strict=True)]
+            else:
+                header = cells
     raise FileFormatError("there is a header, but not one row of numbers below it")
 
 
@@ -398,63 +484,132 @@ def split_row(line: str, separator: str | None) -> list[str]:
 
 def _is_number(cell: str, decimal_comma: bool) -> bool:
     try:
-        _value(cell, decimal_comma)
+        _value(cell, decimal_comma, {})
     except ValueError:
         return False
     return True
 
 
-def _value(cell: str, decimal_comma: bool) -> float:
+def _value(cell: str, decimal_comma: bool, days: dict[str, int]) -> float:
     plain = cell.replace(",", ".") if decimal_comma else cell
-    return seconds_of_day(plain) if ":" in plain else float(plain)
+    return _clock_time(plain, days) if ":" in plain else float(plain)
 
 
-def _numbers(rows: list[tuple[int, str]], dialect: Dialect, names: list[str]) -> Floats:
-    """Numbers of the wanted columns: by NumPy where they are plain, else cell by cell to name what is wrong."""
-    wanted = [place for place, name in enumerate(names) if name]
-    lines = [line for _, line in rows]
-    if dialect.separator is None or all(line.count(dialect.separator) == len(names) - 1 for line in lines):
-        text = "\n".join(lines).replace('"', "")
-        if dialect.decimal_comma:
-            text = text.replace(",", ".")
-        if ":" not in text and "#" not in text:
-            try:
-                columns = wanted if len(wanted) < len(names) else None
-                values = np.loadtxt(
-                    io.StringIO(text), delimiter=dialect.separator, ndmin=2, comments=None, usecols=columns
-                )
-            except ValueError:
-                values = np.empty((0, 0))
-            if values.shape == (len(rows), len(wanted)) and np.all(np.isfinite(values)):
-                return values
-    return _one_by_one(rows, dialect, names, wanted)
-
-
-def _one_by_one(rows: list[tuple[int, str]], dialect: Dialect, names: list[str], wanted: list[int]) -> Floats:
-    table = np.empty((len(rows), len(wanted)))
-    for row, (line, text) in enumerate(rows):
-        cells = split_row(text, dialect.separator)
-        if len(cells) != len(names):
-            raise FileFormatError(
-                f"line {line} has {len(cells)} columns where {len(names)} ({', '.join(names)}) are expected; "
-                "correct or remove it"
-            )
-        for column, place in enumerate(wanted):
-            table[row, column] = _number(cells[place], line, names[place], dialect.decimal_comma)
-    return table
-
-
-def _number(cell: str, line: int, name: str, decimal_comma: bool) -> float:
+def _numbers(
+    rows: list[tuple[int, str]],
+    dialect: Dialect,
+    names: list[str],
+    days: dict[str, int],
+    bad: list[str],
+    skip: int,
+) -> tuple[Floats, list[int]]:
+    """Numbers of the wanted columns and their lines: by NumPy where they are plain, else cell by cell."""
+    wanted = [place for place, name in enumerate(names) if name not in ("", DATE)]
     try:
-        value = _value(cell, decimal_comma)
+        values = _plain_numbers([line for _, line in rows], dialect, names, wanted, days)
     except ValueError:
-        value = float("nan")
-    if not np.isfinite(value):
-        raise FileFormatError(
-            f"line {line}: the {name} is {cell[:40]!r}, no number; correct or remove the line, or leave the "
-            "column out with the option or setting columns"
-        )
-    return value
+        values = np.empty((0, 0))
+    if values.shape == (len(rows), len(wanted)) and np.all(np.isfinite(values)):
+        return values, [line for line, _ in rows]
+    table, kept = np.empty((len(rows), len(wanted))), list[int]()
+    for line, row in rows:
+        cells = split_row(row, dialect.separator)
+        if len(cells) != len(names):
+            said = f"line {line} has {len(cells)} columns where {len(names)} ({', '.join(names)}) are expected"
+            _leave_out(bad, skip, said, "correct or remove it")
+            continue
+        if DATE in names and ":" in cells[names.index(TIME)]:
+            cells[names.index(TIME)] = f"{cells[names.index(DATE)]} {cells[names.index(TIME)]}"
+        try:
+            for column, place in enumerate(wanted):
+                table[len(kept), column] = _value(cells[place], dialect.decimal_comma, days)
+                if not np.isfinite(table[len(kept), column]):
+                    raise ValueError
+        except ValueError:
+            said = f"line {line}: the {names[place]} is {cells[place][:40]!r}, no number"
+            more = "leave the column out with the option or setting columns"
+            _leave_out(bad, skip, said, f"correct or remove the line, {more}")
+            continue
+        kept.append(line)
+    return table[: len(kept)], kept
+
+
+def _plain_numbers(
+    lines: list[str], dialect: Dialect, names: list[str], wanted: list[int], days: dict[str, int]
+) -> Floats:
+    """Numbers of the wanted columns where all rows are written alike; ValueError or another shape where not."""
+    text = "\n".join(lines).replace('"', "")
+    if dialect.decimal_comma:
+        text = text.replace(",", ".")
+    separator = dialect.separator
+    if "#" in text or (separator and any(line.count(separator) != len(names) - 1 for line in lines)):
+        raise ValueError
+    if ":" not in text and DATE not in names:
+        columns = wanted if len(wanted) < len(names) else None
+        return np.loadtxt(io.StringIO(text), delimiter=separator, ndmin=2, comments=None, usecols=columns)
+    cells = list(zip(*(line.split(separator) for line in text.split("\n")), strict=True))
+    if DATE in names:
+        at = names.index(TIME)
+        cells[at] = tuple(map(" ".join, zip(cells[names.index(DATE)], cells[at], strict=True)))
+    return np.stack(
+        [
+            _clock_times(cells[at], days) if ":" in cells[at][0] else np.array(cells[at], dtype=float)
+            for at in wanted
+        ],
+        axis=1,
+    )
+
+
+# Clock times such as 12:30:01.25, or with a date; which day it was is told from all dates of the file.
+
+_DATE = re.compile(r"(\d{1,4})[-/.](\d{1,2})[-/.](\d{1,4})")
+_ORDERS = ("ymd", "mdy", "dmy")
+
+
+def _clock_time(cell: str, days: dict[str, int]) -> float:
+    """Seconds of a clock time, with the place of its date among `days` as whole days; or ValueError."""
+    date, _, clock = cell.replace("T", " ").rpartition(" ")
+    hours, minutes, seconds = (*re.sub(r"(Z|[+-]\d\d:?\d\d)$", "", clock).split(":"), "0")[:3]
+    if date and not _DATE.fullmatch(date):
+        raise ValueError(cell)
+    return 86400.0 * days.setdefault(date, len(days)) + 3600.0 * int(hours) + 60.0 * int(minutes) + float(seconds)
+
+
+def _clock_times(cells: Sequence[str], days: dict[str, int]) -> Floats:
+    """The same of many that are written alike; ValueError where one is not."""
+    dates, _, clocks = zip(*(cell.strip().replace("T", " ").rpartition(" ") for cell in cells), strict=True)
+    if not set("".join(clocks)) <= set("0123456789:.") or not all(map(_DATE.fullmatch, filter(None, set(dates)))):
+        raise ValueError
+    clock = np.array([f"2000-01-01T{clock}" for clock in clocks], dtype="datetime64[ns]")
+    day = np.array([days.setdefault(date, len(days)) for date in dates])
+    return 86400.0 * day + (clock - np.datetime64("2000-01-01", "ns")).astype(np.float64) / 1e9
+
+
+def _since_2000(numbered: Floats, dates: list[str]) -> Floats:
+    """Seconds since 2000 by date and clock; without dates it is a new day where the clock goes back to 0."""
+    day, clock = np.divmod(numbered, 86400.0)
+    if dates == [""]:
+        return numbered + 86400.0 * np.concatenate([[0], np.cumsum(np.diff(numbered) < -43200.0)])
+    # 03/04 may be a day in March or in April: a log goes on, so it is the order in which its days lie together
+    orders = [days for order in _ORDERS if (days := _days(dates, order)) is not None]
+    if not orders:
+        raise FileFormatError(f"{dates[0]!r} and the dates below are none that can be read: write 2026-03-31")
+    return 86400.0 * np.array(min(orders, key=np.ptp))[day.astype(np.int64)] + clock
+
+
+def _days(dates: list[str], order: str) -> list[int] | None:
+    """Days since 2000 of dates in one order; None where one of them cannot be."""
+    found = []
+    for date in dates:
+        parts = _DATE.fullmatch(date)
+        if parts is None or (len(parts[1]) == 4) != (order == "ymd") or ("." in date and order == "mdy"):
+            return None
+        of = dict(zip(order, map(int, parts.groups()), strict=True))
+        try:
+            found.append((datetime.date(of["y"], of["m"], of["d"]) - datetime.date(2000, 1, 1)).days)
+        except ValueError:
+            return None
+    return found
 
 
 # --------------------
@@ -681,101 +836,6 @@ def _quiet_slope(times: Floats, step: float, first: float) -> float:
         if slopes:
             return float(np.median(slopes))
     return first
-
-
-# --------------------
-# What the columns of a log are called, and in which units they stand
-
-
-TIME = "time"
-SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0, "h": 3600.0}
-OUTPUT_UNITS = {"counts": 0.0, "deg/s": 1.0, "deg/h": 1 / 3600.0, "rad/s": 180 / 3.141592653589793}
-"""Units of the output, and how many deg/s one of each is; counts are none."""
-
-_DEFAULT = {1: (COUNTS,), 2: (TIME, COUNTS)}
-_LONG_DEFAULT = (TIME, COUNTS, TEMPERATURE)
-_SYNONYMS = {
-    TIME: ("time", "t", "seconds", "second", "sec", "timestamp", "time_stamp"),
-    COUNTS: ("counts", "count", "output", "gyro", "n", "f", "lsb", "pulses", "rate", "fog"),
-    TEMPERATURE: ("temperature", "temp", "t_c", "temperature_degc"),
-    STATUS: ("status",),
-    TABLE_ANGLE: ("table_deg", "table_angle", "table_position", "encoder_deg", "encoder_angle"),
-    COUNTER: ("counter", "frame", "frame_number", "seq", "sequence", "index", "sample"),
-}
-_AXIS = re.compile(
-    r"(?:counts?|gyro|g|w|omega|rate|n|f|output|fog|axis)?_?([xyz])(?:_?(?:axis|counts?|gyro|rate))?"
-)
-_SUFFIX = re.compile(r"(?:^|_)(s|ms|us|min|dps|dph|deg_s|deg_h|degps|degph)$")
-_BRACKET = re.compile(r"\s*[\[(]\s*([^\])]*?)\s*[\])]\s*$")
-_UNIT_WORDS = {
-    "counts": ("counts", "count", "lsb", "pulses", "pulse", "codes", "code", "digits", ""),
-    "deg/s": ("deg/s", "dps", "deg_s", "degps", "°/s", "deg/sec"),
-    "deg/h": ("deg/h", "dph", "deg_h", "degph", "°/h", "deg/hr", "deg/hour"),
-    "rad/s": ("rad/s", "rps", "rad/sec"),
-}
-
-
-def axis_column(axis: str) -> str:
-    """Name of the column with the output of one axis.
-
-    >>> axis_column("Z")
-    'counts_z'
-    """
-    return f"{COUNTS}_{axis.lower()}"
-
-
-def default_names(width: int) -> list[str]:
-    """Names of the columns of a file without a header."""
-    known = _DEFAULT.get(width, _LONG_DEFAULT)
-    return [*known, *(f"column_{number}" for number in range(len(known) + 1, width + 1))]
-
-
-def named_columns(header: Sequence[str]) -> tuple[list[str], list[str]]:
-    """Our names of the columns of a header, and the units that it gives ("" where it gives none).
-
-    >>> named_columns(["Time [ms]", "Gyro X (deg/h)", "T_C", "hot"])
-    (['time', 'counts_x', 'temperature', 'hot'], ['ms', 'deg/h', '', ''])
-    """
-    pairs = [_named(cell.strip()) for cell in header]
-    return [name for name, _ in pairs], [unit for _, unit in pairs]
-
-
-def _named(cell: str) -> tuple[str, str]:
-    word, unit = cell, ""
-    if found := _BRACKET.search(cell):
-        word, unit = cell[: found.start()], found[1].strip().lower()
-    word = re.sub(r"[\s.-]+", "_", word.strip().lower())
-    for name, synonyms in _SYNONYMS.items():
-        if word in synonyms:
-            return name, unit
-    if not unit and (suffix := _SUFFIX.search(word)) and suffix.start() > 0:
-        stem = word[: suffix.start()]
-        for name, synonyms in _SYNONYMS.items():
-            if stem in synonyms and name in (TIME, COUNTS):
-                return name, suffix[1]
-        if axis := _AXIS.fullmatch(stem):
-            return axis_column(axis[1]), suffix[1]
-    if axis := _AXIS.fullmatch(word):
-        return axis_column(axis[1]), unit
-    return word, unit
-
-
-def seconds_of(unit: str) -> float:
-    """Seconds in one unit of time; FileFormatError if there is no such unit."""
-    if unit not in SECONDS:
-        raise FileFormatError(f"the unit of time must be one of {', '.join(SECONDS)}, not {unit!r}")
-    return SECONDS[unit]
-
-
-def output_unit(unit: str, name: str) -> str:
-    """Unit of an output as `OUTPUT_UNITS` has it; FileFormatError if it is none of them."""
-    for known, words in _UNIT_WORDS.items():
-        if unit.lower() in words:
-            return known
-    raise FileFormatError(
-        f"the unit of {name} is {unit!r}; it must be one of {', '.join(OUTPUT_UNITS)}: say which with the "
-        "option or setting units"
-    )
 
 
 # --------------------

@@ -11,7 +11,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from instrument.errors import SettingError
-from instrument.fibre_gyro.frame_fields import COUNTS, STATUS, TEMPERATURE, CounterRule, Field, FieldQuantity
+from instrument.fibre_gyro.frame_fields import (
+    ANGLE_UNITS,
+    COUNTS,
+    RATE_UNITS,
+    STATUS,
+    TEMPERATURE,
+    CounterRule,
+    Field,
+    FieldQuantity,
+)
 from instrument.fibre_gyro.frame_format import FrameFormat
 from instrument.fibre_gyro.frame_stream import Damage, Event
 from instrument.fibre_gyro.frames import ONE_CHARACTER, STANDS_OUT, Frame, doubts_about
@@ -143,7 +152,7 @@ class RecordBuilder:
         """What was recorded; call it when it is done."""
         self._close_gap(self._wanted)
         clock = self.host_clock()
-        if clock is not None and self._layout.unit in ANGLES:
+        if clock is not None and self._layout.unit in ANGLE_UNITS:
             clock = replace(clock, used=True)  # the interval is a factor of the rate, whatever its error is
         step = clock.interval_s if clock is not None and clock.used else self._layout.interval_s
         columns = columns_of(
@@ -391,7 +400,7 @@ class Recording:
             status=None if self.status is None else self.status[rows],
             extra={name: values[rows] for name, values in self.extra.items()},
             gaps=gaps,
-            losses=Losses(good=self.times[rows].size, missing=sum(gap.missing for gap in gaps)),
+            losses=replace(self.losses, good=self.times[rows].size, missing=sum(gap.missing for gap in gaps)),
         )
 
 
@@ -503,13 +512,6 @@ def _lower_hull(x: Floats, y: Floats) -> list[int]:
 # From the numbers of frames to the columns of a recording: outputs in counts, and what came with them
 
 
-_DPS = {"deg/s": 1.0, "deg/h": 1 / 3600, "rad/s": 180 / math.pi}
-_DEGREES = {"deg": 1.0, "rad": 180 / math.pi}
-
-ANGLES = tuple(_DEGREES)
-"""Units of an output that is the angle since the output before: its rate depends on the interval."""
-
-
 def columns_of(
     layout: FrameFormat,
     rows: Sequence[tuple[float, ...]],
@@ -539,7 +541,7 @@ def counts_per_unit(unit: str, interval_s: float, counts_per_dps: float | None) 
         return 1.0
     if counts_per_dps is None:
         raise SettingError(f"the output is in {unit}: say how many counts 1 deg/s is")
-    return counts_per_dps * (_DPS[unit] if unit in _DPS else _DEGREES[unit] / interval_s)
+    return counts_per_dps * (RATE_UNITS[unit] if unit in RATE_UNITS else ANGLE_UNITS[unit] / interval_s)
 
 
 def _in_turn(turning: Field, quantity: FieldQuantity, raw: Floats, counters: NDArray[np.int64]) -> Floats:

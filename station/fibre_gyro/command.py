@@ -148,7 +148,6 @@ def constants(run: Path, as_json: bool, **given: Any) -> int:
     return 0
 
 
-_UNITS = ["counts", "deg/s", "deg/h", "rad/s"]
 F = TypeVar("F", bound=Callable[..., Any])
 
 
@@ -205,6 +204,7 @@ _OF_LOGS = {
     "units": "logs.units",
     "time_unit": "logs.time_unit",
     "output_rate": "logs.output_rate_hz",
+    "skip_bad_rows": "logs.skip_bad_rows",
 }
 
 
@@ -218,7 +218,7 @@ def _log_options(function: F) -> F:
             help="Columns of logs in their order: time,counts or time,counts_x,,counts_z; empty: left out.",
         ),
         click.option(
-            "--units", type=click.Choice(_UNITS), metavar="UNIT", help="Output unit of logs: counts, deg/s, .."
+            "--units", metavar="UNIT", help="Output unit of logs: counts, deg/s, mrad/s, deg (an angle a row), .."
         ),
         click.option("--time-unit", type=click.Choice(["s", "ms", "us", "min", "h"]), help="Time unit of logs."),
         click.option(
@@ -227,6 +227,12 @@ def _log_options(function: F) -> F:
             callback=positive,
             metavar="HZ",
             help="Outputs per second, for logs without a column of the time.",
+        ),
+        click.option(
+            "--skip-bad-rows",
+            type=click.IntRange(0, 1_000_000),
+            metavar="N",
+            help="Leave out up to N rows of a log that cannot be read, or are out of order; each is named.",
         ),
     )
     for option in reversed(options):

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from analysis.fibre_gyro import ClosedLoop, largest_step, predicted_table_scale
-from instrument.fibre_gyro import ANGLES, HOST_CLOCK_U, HostClock
+from instrument.fibre_gyro import ANGLE_UNITS, HOST_CLOCK_U, HostClock
 from station.fibre_gyro.bench import loop_settings, quiet
 from station.fibre_gyro.segments import Segment, segments_of
 from station.fibre_gyro.settings import FogSettings
@@ -74,9 +74,16 @@ def with_link_remarks(result: Callable[[Any, SavedRun, FogSettings], Result]) ->
         segments = _all_segments(run)
         doubts = tuple(dict.fromkeys(f"{doubt}." for one in segments for doubt in one.recording.doubts))
         doubts += _unseen_digits(segments)
+        made = replace(made, to_watch=made.to_watch + doubts, flags=made.flags + doubts)
+        logs = {str(one.conditions["source"]): one.recording for one in segments if "source" in one.conditions}
+        for log, recording in logs.items():
+            if rows := list(recording.losses.reasons):
+                lost = Excluded(f"part of {log}", f"{len(rows)} row{'s' * (len(rows) > 1)}: {'; '.join(rows[:3])}")
+                document = {**made.document, "rows_left_out": made.document.get("rows_left_out", {}) | {log: rows}}
+                made = replace(made, left_out=(*made.left_out, lost), document=document)
         clock = clock_of(segments)
         if clock is None:
-            return replace(made, to_watch=made.to_watch + doubts, flags=made.flags + doubts)
+            return made
         document = {
             "difference_ppm": clock.difference_ppm,
             "difference_u_ppm": clock.u_ppm,
@@ -86,8 +93,6 @@ def with_link_remarks(result: Callable[[Any, SavedRun, FogSettings], Result]) ->
         return replace(
             made,
             sentences=(*made.sentences, *_clock_sentences(clock, segments)),
-            to_watch=made.to_watch + doubts,
-            flags=made.flags + doubts,
             document={**made.document, "gyro_clock": document},
         )
 
@@ -122,7 +127,7 @@ def clock_of(segments: Sequence[Segment]) -> HostClock | None:
 
 def angle_clock_u(segments: Sequence[Segment]) -> float:
     """Relative standard uncertainty of K that the clock gives where the output is an angle a frame; else 0."""
-    angles = [one for one in segments if one.conditions.get("output_unit") in ANGLES]
+    angles = [one for one in segments if one.conditions.get("output_unit") in ANGLE_UNITS]
     each = [_interval_u(one) for one in angles]
     return float(np.sqrt(np.mean(np.square(each)))) if each else 0.0
 
@@ -142,7 +147,7 @@ def _all_segments(run: SavedRun) -> list[Segment]:
 
 def _clock_sentences(clock: HostClock, segments: Sequence[Segment]) -> tuple[str, ...]:
     """Say how the gyro's clock differs, what was done, and what it does to K."""
-    angle = any(one.conditions.get("output_unit") in ANGLES for one in segments)
+    angle = any(one.conditions.get("output_unit") in ANGLE_UNITS for one in segments)
     rate = with_uncertainty(clock.output_rate_hz, clock.u_ppm / PPM * clock.output_rate_hz, "Hz")
     if not clock.used:
         return ()

@@ -247,6 +247,7 @@ def choices_of(settings: FogSettings) -> LogChoices:
         time_unit=given.time_unit,
         units=given.units,
         interval_s=1 / given.output_rate_hz if given.output_rate_hz else None,
+        skip_bad_rows=given.skip_bad_rows,
     )
 
 

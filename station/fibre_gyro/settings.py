@@ -25,6 +25,8 @@ from station.settings import (
 
 Rates = Annotated[list[Positive], Field(min_length=1)]
 Name = Annotated[str, Field(min_length=1, pattern=r"^\S+$")]
+RateUnit = Literal["deg/s", "deg/h", "rad/s", "mdeg/s", "mrad/s", "urad/s", "arcsec/s"]
+AngleUnit = Literal["deg", "rad", "mdeg", "mrad", "urad", "arcsec"]
 
 
 class FibreGyroSettings(SettingsSection):
@@ -56,8 +58,9 @@ class LogSettings(SettingsSection):
 
     columns: list[str]
     time_unit: Literal["", "s", "ms", "us", "min", "h"]
-    units: Literal["", "counts", "deg/s", "deg/h", "rad/s"]
+    units: Literal["", "counts"] | RateUnit | AngleUnit
     output_rate_hz: NotNegative
+    skip_bad_rows: Annotated[int, Field(ge=0, le=1_000_000)] = 0
 
 
 class FogTableSettings(SettingsSection):

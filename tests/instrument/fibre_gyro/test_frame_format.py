@@ -133,7 +133,7 @@ TURNS = turning(phases=[0])
         (changed(fields=[COUNTS | {"byte_order": [0, 1, 1, 2]}]), r"significance of each byte as it is sent"),
         (
             changed(fields=[COUNTS | {"unit": "furlong"}]),
-            r"unit must be one of counts, deg/s, deg/h, rad/s, deg, rad",
+            r"unit must be one of counts, deg/s, deg/h, rad/s, mdeg/s, mrad/s, urad/s, arcsec/s, deg, rad, mdeg, ",
         ),
         (changed(fields=[COUNTS, COUNTS | {"name": "counts_x"}]), r"must name the outputs of several axes"),
         (

@@ -1,5 +1,8 @@
 """Logs as other programs write them, and what is said about a bad one."""
 
+import datetime
+import gzip
+
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -39,6 +42,116 @@ def test_same_log_in_many_spellings(text, tmp_path):
     assert log.times == pytest.approx([0, 0.01, 0.02], abs=1e-9)
     assert log.interval_s == pytest.approx(0.01)
     assert log.complete and log.clock == "time column"
+
+
+START = datetime.datetime(2026, 3, 30, 23, 59, 59, 980_000)  # midnight comes after the second row
+MOMENTS = [START + datetime.timedelta(milliseconds=10 * n) for n in range(400)]
+RATES = np.random.default_rng(33).normal(0.4, 0.2, 400)  # deg/s
+
+
+def log_of(header, time_format, scale):
+    """A log of RATES over midnight in the words of another program."""
+    rows = (
+        f"{moment.strftime(time_format)[:-3]},{rate * scale:.12g}"
+        for moment, rate in zip(MOMENTS, RATES, strict=True)
+    )
+    return "\n".join([*header, *rows, ""])
+
+
+@pytest.mark.parametrize(
+    ("header", "time_format", "scale"),
+    [
+        (["timestamp,rate [mdps]"], "%Y-%m-%dT%H:%M:%S.%f", 1e3),
+        (["date,time,gyro (mrad/s)"], "%Y-%m-%d,%H:%M:%S.%f", np.pi / 0.18),
+        (["Date,Time,rate_dps"], "%m/%d/%Y,%H:%M:%S.%f", 1.0),
+        (["Date,Time,rate_dps"], "%d/%m/%Y,%H:%M:%S.%f", 1.0),
+        (["datum,time,output [µrad/s]"], "%d.%m.%Y,%H:%M:%S.%f", np.pi / 1.8e-4),
+        (["time,delta_theta [rad]"], "%H:%M:%S.%f", np.pi / 180 * 0.01),
+        (["Time,dtheta (degrees)"], "%Y/%m/%d %H:%M:%S.%f", 0.01),
+        (["Time,angle_increment [arcsec]"], "%Y/%m/%d %H:%M:%S.%f", 36.0),
+        (["time,rate", ",deg/h"], "%H:%M:%S.%f", 3600.0),
+        (["Gyro 17", "time,rate", "(s),(mdeg/s)"], "%H:%M:%S.%f", 1e3),
+        (["time,gyro"], "%H:%M:%S.%f", 5000.0),
+    ],
+)
+@pytest.mark.parametrize("packed", ["plain", "gzip", "utf-16"])
+def test_units_dates_and_midnight(header, time_format, scale, packed, tmp_path):
+    text, path = log_of(header, time_format, scale), tmp_path / "log"
+    coded = text.encode("utf-16" if packed == "utf-16" else "utf-8")
+    path.write_bytes(gzip.compress(coded) if packed == "gzip" else coded)
+    log = read_gyro_log(path, counts_per_dps=5000.0)
+    assert log.counts == pytest.approx(5000 * RATES, rel=1e-9)
+    assert log.times == pytest.approx(0.01 * np.arange(400), abs=1e-6)
+    assert log.complete and log.interval_s == pytest.approx(0.01, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("unit", "of_zero", "of_kelvin"), [("K", 273.15, 1.0), ("degF", 32.0, 1.8), ("°C", 0.0, 1.0)]
+)
+def test_temperature_is_in_deg_c(unit, of_zero, of_kelvin):
+    log = parse_gyro_log(
+        f"time,counts,temp [{unit}]\n0,1,{of_zero + 25 * of_kelvin}\n1,2,{of_zero}\n2,1,{of_zero}\n"
+    )
+    assert log.temperature == pytest.approx([25, 0, 0], abs=1e-9)
+    with pytest.raises(FileFormatError, match="must be degC, K or degF, not 'mv'"):
+        parse_gyro_log("time,counts,temp [mV]\n0,1,2\n1,2,3\n")
+
+
+def test_an_angle_since_the_begin_is_no_output():
+    text = "time,gyro [deg]\n0,1\n1,2\n2,4\n"
+    with pytest.raises(FileFormatError, match="angle since the output before, say so with"):
+        parse_gyro_log(text, counts_per_dps=10.0)
+    assert parse_gyro_log(text, counts_per_dps=10.0, units="deg").counts.tolist() == [10, 20, 40]
+
+
+def test_empty_columns_and_a_cut_archive(tmp_path):
+    log = parse_gyro_log("time,note,counts,temperature\n0,,1,\n1,,2,\n2,,1,\n")
+    assert log.counts.tolist() == [1, 2, 1] and log.temperature is None and log.extra == {}
+    path = tmp_path / "log.gz"
+    path.write_bytes(gzip.compress(np.random.default_rng(1).bytes(9000).hex().encode())[:4000])
+    with pytest.raises(FileFormatError, match="compressed and cannot be unpacked to its end"):
+        read_gyro_log(path)
+
+
+BAD = {
+    "ERR": ("5.00,ERR", "line 502: the counts is 'ERR', no number"),
+    "nan": ("5.00,nan", "line 502: the counts is 'nan', no number"),
+    "NUL": ("\0\0\0", "line 502 has 1 columns where 2 (time, counts) are expected"),
+    "torn": ("5.0", "line 502 has 1 columns"),
+    "header again": ("time,counts", "line 502: the time is 'time', no number"),
+    "doubled": ("4.99,499", "line 502: 4.99 s comes after 4.99 s"),
+    "late": ("3.2,500", "line 502: 3.2 s comes after 4.99 s"),
+}
+
+
+@pytest.mark.parametrize("fault", BAD)
+def test_bad_rows_are_left_out_by_name_where_that_is_wished(fault):
+    row, said = BAD[fault]
+    rows = [f"{n / 100:.2f},{n}" for n in range(1000)]
+    rows[500] = row
+    text = "\n".join(["time,counts", *rows, ""])
+    with pytest.raises(FileFormatError) as caught:
+        parse_gyro_log(text)
+    assert said in str(caught.value) and "skip_bad_rows" in str(caught.value)
+    log = parse_gyro_log(text, skip_bad_rows=1)
+    assert log.counts.tolist() == [n for n in range(1000) if n != 500]
+    assert log.times == pytest.approx([n / 100 for n in range(1000) if n != 500], abs=1e-9)
+    assert (log.losses.good, log.losses.missing, log.losses.unusable) == (999, 1, 1)
+    assert said in next(iter(log.losses.reasons))
+    rows[700] = "7.00,ERR"
+    with pytest.raises(FileFormatError, match=r"after 1 that were left out, line [57]02"):
+        parse_gyro_log("\n".join(["time,counts", *rows, ""]), skip_bad_rows=1)
+
+
+def test_a_clock_that_was_set_back_goes_on():
+    stamps = np.where(np.arange(1000) < 600, 0.0, -0.37) + 0.01 * np.arange(1000)
+    text = "".join(f"{stamp:.2f},{n}\n" for n, stamp in enumerate(stamps))
+    with pytest.raises(FileFormatError, match=r"line 601: 5\.63 s comes after 5\.99 s"):
+        parse_gyro_log(text)
+    log = parse_gyro_log(text, skip_bad_rows=1)
+    assert log.counts.tolist() == list(range(1000)) and log.complete
+    assert log.times == pytest.approx(0.01 * np.arange(1000), abs=1e-6)
+    assert list(log.losses.reasons) == ["line 601: 5.63 s comes after 5.99 s"]
 
 
 def test_two_columns_and_more_than_three():

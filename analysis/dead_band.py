@@ -67,19 +67,16 @@ def rounded_pulse_rate(
         least = LEAST_WALK * np.sqrt(lock_in[noisy] / scale_factor)
         diffusion = (2 * np.pi * scale_factor * np.maximum(walk[noisy], least)) ** 2 / 2
         per_rate = 2 * np.pi * scale_factor / diffusion
-        slips = _slip_rate(per_rate * np.abs(rate[noisy]), per_rate * lock_in[noisy])
+        drive = per_rate * np.abs(rate[noisy])
+        lock = per_rate * lock_in[noisy]
+        # With p_n = <exp(-i n phi)> the density obeys (n + i a/D) p_n = (b/2D)(p_(n-1) - p_(n+1)).
+        orders = int(60 + 12 * np.sqrt(np.max(lock, initial=0.0)))
+        ratio, half, turning = np.zeros(drive.shape, dtype=np.complex128), lock / 2, 1j * drive
+        for n in range(orders, 0, -1):
+            ratio = half / (n + turning + half * ratio)
+        slips = np.asarray(np.maximum(drive + lock * ratio.imag, 0.0))
         turns[noisy] = slips * diffusion / (2 * np.pi)
     return np.asarray(np.sign(rate) * turns)
-
-
-def _slip_rate(drive: Floats, lock: Floats) -> Floats:
-    """<d(phi)/dt>/D for a/D and b/D (R,), by the continued fraction of the stationary density's harmonics."""
-    # With p_n = <exp(-i n phi)> the density obeys (n + i a/D) p_n = (b/2D)(p_(n-1) - p_(n+1)).
-    orders = int(60 + 12 * np.sqrt(np.max(lock, initial=0.0)))
-    ratio, half, turning = np.zeros(drive.shape, dtype=np.complex128), lock / 2, 1j * drive
-    for n in range(orders, 0, -1):
-        ratio = half / (n + turning + half * ratio)
-    return np.asarray(np.maximum(drive + lock * ratio.imag, 0.0))
 
 
 def simulate_sweep(
@@ -231,7 +228,17 @@ def fit_whole_corner(swept: Sweep, start: float) -> Corner:
     seen = swept.pulses[near]
 
     def expected(points: Floats) -> Floats:
-        return _expected(points, swept, near, start)
+        columns = np.zeros((5, len(points), 1))
+        columns[: points.shape[1], :, 0] = points.T
+        lock_in, bias, walk, drift, hysteresis = columns
+        way = np.where(falling(swept.rates)[near], -0.5, 0.5)
+        turning = rounded_pulse_rate(
+            swept.rates[near] - (bias + drift * swept.time[near]) * start,
+            scale_factor=swept.scale_factor,
+            lock_in_rate=np.maximum(lock_in + way * hysteresis, 0.0) * start,
+            random_walk=np.exp(walk) * _usual_walk(swept, start),
+        )
+        return np.asarray(np.abs(turning) * swept.dwell)
 
     def slopes(point: Floats) -> Floats:
         # all points of the difference at once: the closed form's cost is in its loop, not in its arrays
@@ -287,21 +294,6 @@ def _known_from_few(weights: Floats, spread: Floats) -> Floats:
 
 def _usual_walk(swept: Sweep, start: float) -> float:
     return float(np.sqrt(start / swept.scale_factor))
-
-
-def _expected(points: Floats, swept: Sweep, near: Bools, start: float) -> Floats:
-    """Pulses (P, n) of the steps fitted, for points (P, 3) or (P, 5)."""
-    columns = np.zeros((5, len(points), 1))
-    columns[: points.shape[1], :, 0] = points.T
-    lock_in, bias, walk, drift, hysteresis = columns
-    way = np.where(falling(swept.rates)[near], -0.5, 0.5)
-    turning = rounded_pulse_rate(
-        swept.rates[near] - (bias + drift * swept.time[near]) * start,
-        scale_factor=swept.scale_factor,
-        lock_in_rate=np.maximum(lock_in + way * hysteresis, 0.0) * start,
-        random_walk=np.exp(walk) * _usual_walk(swept, start),
-    )
-    return np.asarray(np.abs(turning) * swept.dwell)
 
 
 SEEN = 3.29  # standard uncertainties beyond which chance hardly ever goes

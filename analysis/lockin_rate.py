@@ -405,7 +405,16 @@ def beat_flags(beat: Beat, fit_flags: Ints, n_samples: int) -> Ints:
     flags = np.zeros(beat.size.shape, dtype=np.int64)
     flags[beat.periods < FEWEST_PERIODS] |= Flag.FEW_PERIODS
     flags[2 * beat.omega >= np.pi] |= Flag.SECOND_HARMONIC_ABOVE_NYQUIST
-    flags[_folds_onto_another(beat.omega, beat.size, n_samples)] |= Flag.HARMONICS_ALIASED
+    orders = np.arange(2, 13)
+    folded = np.abs((orders * beat.omega[:, np.newaxis] + np.pi) % (2 * np.pi) - np.pi)
+    bin_width = 2 * np.pi / n_samples
+    strong = beat.size[:, np.newaxis] ** (orders - 1) > 0.02 * beat.size[:, np.newaxis]
+    on_first = np.abs(folded - beat.omega[:, np.newaxis]) < bin_width
+    second = np.abs((2 * beat.omega[:, np.newaxis] + np.pi) % (2 * np.pi) - np.pi)
+    on_second = (np.abs(folded - second) < bin_width) & (orders > 2)
+    at_edge = (np.abs(folded - np.pi) < bin_width) & (orders == 2)
+    at_zero = (folded < bin_width) & (orders == 2)
+    flags[np.asarray((strong & (on_first | on_second | at_edge | at_zero)).any(axis=-1))] |= Flag.HARMONICS_ALIASED
     flags[~(beat.size > SIGNIFICANT * beat.ratio_u)] |= Flag.RATIO_NOT_SIGNIFICANT
     moved = (fit_flags & int(Flag.RATE_WANDER)) != 0
     silent = (flags & int(Flag.RATIO_NOT_SIGNIFICANT)) != 0
@@ -442,20 +451,6 @@ def is_weaker(beat: Beat, fit: WaveformFit, full: Floats, n_samples: int) -> Boo
     """Where the amplitude falls short of `full` by more than noise and the stability of a laser explain."""
     amplitude_u = fit.noise_rms * np.sqrt(2 / n_samples)
     return np.asarray(full - beat.amplitude > np.maximum(LOSS * full, 5 * amplitude_u))
-
-
-def _folds_onto_another(omega: Floats, ratio: Floats, n_samples: int) -> Bools:
-    """Whether a strong harmonic folds to within one bin of the fundamental or of the second harmonic."""
-    orders = np.arange(2, 13)
-    folded = np.abs((orders * omega[:, np.newaxis] + np.pi) % (2 * np.pi) - np.pi)
-    bin_width = 2 * np.pi / n_samples
-    strong = ratio[:, np.newaxis] ** (orders - 1) > 0.02 * ratio[:, np.newaxis]
-    on_first = np.abs(folded - omega[:, np.newaxis]) < bin_width
-    second = np.abs((2 * omega[:, np.newaxis] + np.pi) % (2 * np.pi) - np.pi)
-    on_second = (np.abs(folded - second) < bin_width) & (orders > 2)
-    at_edge = (np.abs(folded - np.pi) < bin_width) & (orders == 2)
-    at_zero = (folded < bin_width) & (orders == 2)
-    return np.asarray((strong & (on_first | on_second | at_edge | at_zero)).any(axis=-1))
 
 
 # --------------------

@@ -86,7 +86,16 @@ def claim(name: str, doing: str = "", *, means: str = "") -> Claim:
         if descriptor is None:
             return Claim(None)
         _held[path] = (descriptor, 1)
-    _write(descriptor, Holder(os.getpid(), _user(), doing or _command_line(), _now()), link)
+    _write(
+        descriptor,
+        Holder(
+            os.getpid(),
+            _user(),
+            doing or _plain(" ".join([Path(sys.argv[0] or "python").name, *sys.argv[1:]])),
+            _now(),
+        ),
+        link,
+    )
     return Claim(path)
 
 
@@ -206,10 +215,6 @@ def _user() -> str:
         return getpass.getuser()
     except (KeyError, OSError, ImportError):
         return str(os.getuid()) if hasattr(os, "getuid") else "?"
-
-
-def _command_line() -> str:
-    return _plain(" ".join([Path(sys.argv[0] or "python").name, *sys.argv[1:]]))
 
 
 def _now() -> str:

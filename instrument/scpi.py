@@ -159,7 +159,17 @@ def split_blocks(
         if len(data) < end - first:
             raise TransferError(f"the binary block is cut: {len(data)} of {end - first} bytes came; ask again")
         pieces.append((decode_text(message[position:start]), data))
-        _check_behind_block(message[end:], len(data), terminated)
+        rest = message[end:]
+        length = len(data)
+        if terminated and not rest:
+            raise TransferError(
+                f"no line end follows the binary block of {length} bytes: a byte was lost; ask again"
+            )
+        if rest[:1] != b";" and (rest.strip(b"\r\n") or len(rest) > 2):
+            raise TransferError(
+                f"{len(rest)} bytes follow the binary block of {length} bytes where only a line end belongs: "
+                "bytes were lost or added; ask again"
+            )
         position = end
     return pieces, decode_text(message[position:])
 
@@ -197,18 +207,13 @@ def _block_span(message: bytes | bytearray, start: int, longest: int) -> tuple[i
     """Where the data of a block begin and end whose whole header has come."""
     digits = _length_digits(message, start)
     first = start + 2 + digits
-    return first, first + _block_length(message, start, digits, longest)
-
-
-def _check_behind_block(rest: bytes, length: int, terminated: bool) -> None:
-    """TransferError unless another part of the answer or its line end follows a block."""
-    if terminated and not rest:
-        raise TransferError(f"no line end follows the binary block of {length} bytes: a byte was lost; ask again")
-    if rest[:1] != b";" and (rest.strip(b"\r\n") or len(rest) > 2):
-        raise TransferError(
-            f"{len(rest)} bytes follow the binary block of {length} bytes where only a line end belongs: "
-            "bytes were lost or added; ask again"
-        )
+    field = message[start + 2 : start + 2 + digits]
+    if not field.isdigit() or len(field) < digits:
+        raise TransferError(f"the length of the binary block reads {field!r}; ask again")
+    length = int(field)
+    if length > longest:
+        raise TransferError(f"the binary block claims {length} bytes where at most {longest} belong; ask again")
+    return first, first + length
 
 
 def _length_digits(message: bytes | bytearray, start: int) -> int:
@@ -218,16 +223,6 @@ def _length_digits(message: bytes | bytearray, start: int) -> int:
             f"a binary block starts with {message[start : start + 2]!r} instead of '#' and a digit; ask again"
         )
     return digits
-
-
-def _block_length(message: bytes | bytearray, start: int, digits: int, longest: int) -> int:
-    field = message[start + 2 : start + 2 + digits]
-    if not field.isdigit() or len(field) < digits:
-        raise TransferError(f"the length of the binary block reads {field!r}; ask again")
-    length = int(field)
-    if length > longest:
-        raise TransferError(f"the binary block claims {length} bytes where at most {longest} belong; ask again")
-    return length
 
 
 # --------------------

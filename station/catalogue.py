@@ -65,7 +65,7 @@ def list_runs(directory: Path, *, progress: Progress | None = None) -> list[Entr
         entries |= seen
         _remember(directory, {path: there[path] for path in seen}, seen)
     if gone := [path for path in known if path not in there]:
-        _forget(directory, gone)
+        _change(directory, "DELETE FROM run WHERE path = ?", [(path,) for path in gone])
     found = [replace(entry, run=str(directory / entry.run)) for entry in entries.values() if entry is not None]
     return sorted(found, key=lambda entry: (entry.started_at, entry.run))
 
@@ -104,16 +104,12 @@ def _stamps(directory: Path) -> Iterator[tuple[str, str]]:
                     waiting.append(one.path)
             elif name.endswith(".sqlite"):
                 with suppress(OSError):
-                    yield os.path.relpath(one.path, root), _stamp(files, name, now)
-
-
-def _stamp(files: Mapping[str, os.DirEntry[str]], name: str, now: int) -> str:
-    beside = (name, journal_of(Path(name)).name, remarks_file(Path(name)).name)
-    sizes = [files[one].stat() for one in beside if one in files]
-    # a file that was written just now may be written again within the same tick of the disk's clock
-    young = any(now - one.st_mtime_ns < _RACY_NS for one in sizes)
-    stamp = " ".join(f"{one.st_size}:{one.st_mtime_ns}" for one in sizes)
-    return f"{stamp} seen {now}" if young else stamp
+                    beside = (name, journal_of(Path(name)).name, remarks_file(Path(name)).name)
+                    sizes = [files[one].stat() for one in beside if one in files]
+                    # what was written just now may be written again within the same tick of the disk's clock
+                    young = any(now - one.st_mtime_ns < _RACY_NS for one in sizes)
+                    stamp = " ".join(f"{one.st_size}:{one.st_mtime_ns}" for one in sizes)
+                    yield os.path.relpath(one.path, root), (f"{stamp} seen {now}" if young else stamp)
 
 
 # ---------------------------------------------------------------------- the index itself
@@ -150,10 +146,6 @@ def _remember(directory: Path, stamps: Stamps, entries: Mapping[str, Entry | Non
         for path, entry in entries.items()
     ]
     _change(directory, "INSERT OR REPLACE INTO run VALUES (?, ?, ?)", rows)
-
-
-def _forget(directory: Path, gone: list[str]) -> None:
-    _change(directory, "DELETE FROM run WHERE path = ?", [(path,) for path in gone])
 
 
 def _change(directory: Path, statement: str, rows: Sequence[tuple[str | None, ...]]) -> None:

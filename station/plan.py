@@ -90,7 +90,15 @@ def make_plan(settings: Settings, options: PlanOptions) -> PlannedMeasurement:
         curve = uncertainty_curve(request, plan.records)
     except ValueError as error:
         raise UsageError(str(error)) from None
-    return PlannedMeasurement(plan, curve, _elsewhere(plan))
+    factor = plan.request.lock_in_factor
+    found = []
+    for true in (plan.request.lock_in_rate / factor, plan.request.lock_in_rate * factor) if factor > 1 else ():
+        try:
+            u = budget_elsewhere(plan, true).relative_u
+        except ValueError:  # locked
+            u = math.inf
+        found.append((true, u))
+    return PlannedMeasurement(plan, curve, tuple(found))
 
 
 def plan_request(settings: Settings, options: PlanOptions) -> PlanRequest:
@@ -227,19 +235,6 @@ def _between_records(settings: Settings, options: PlanOptions) -> float:
     if not baud and (settings.simulated or settings.scope.resource.upper().startswith("ASRL")):
         baud = _FACTORY_BAUD
     return _BYTES_PER_RECORD * _SERIAL_BITS / baud if baud else _FAST_LINK_S
-
-
-def _elsewhere(plan: Plan) -> tuple[tuple[float, float], ...]:
-    """What the same rate, scope settings and records give if the lock-in rate is not the expected one."""
-    factor = plan.request.lock_in_factor
-    found = []
-    for true in (plan.request.lock_in_rate / factor, plan.request.lock_in_rate * factor) if factor > 1 else ():
-        try:
-            u = budget_elsewhere(plan, true).relative_u
-        except ValueError:  # locked
-            u = math.inf
-        found.append((true, u))
-    return tuple(found)
 
 
 # --------------------

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from analysis.arrays import Floats
 from analysis.study import (
     PAPER,
     BiasTable,
@@ -134,19 +133,15 @@ def study_document(study: Study, sentences: list[str], files: list[str]) -> dict
             for r in study.readings
         ]
     if study.experiment is not None:
-        document["experiment"] = _experiment_document(study.experiment)
+        document["experiment"] = {
+            "rate_over_lock_in": study.experiment.over_lock_in,
+            "causes": [
+                {"cause": cause.name, "rms_percent": 100 * cause.rms, "largest_percent": 100 * cause.largest}
+                for cause in (*study.experiment.causes, study.experiment.ours)
+            ],
+            "together_rms_percent": 100 * study.experiment.together,
+        }
     return document
-
-
-def _experiment_document(experiment: ExperimentCauses) -> dict[str, Any]:
-    return {
-        "rate_over_lock_in": experiment.over_lock_in,
-        "causes": [
-            {"cause": cause.name, "rms_percent": 100 * cause.rms, "largest_percent": 100 * cause.largest}
-            for cause in (*experiment.causes, experiment.ours)
-        ],
-        "together_rms_percent": 100 * experiment.together,
-    }
 
 
 def curve_name(curve: tuple[float, float]) -> str:
@@ -250,7 +245,20 @@ def study_tables(study: Study) -> list[StudyTable]:
     tables = [_waveform_table(number, found) for number, found in study.waveforms.items()]
     tables += [_error_table(number, found) for number, found in study.errors.items()]
     if study.bias is not None:
-        tables.append(_bias_table(study.bias))
+        rows: list[Sequence[float | str]] = [
+            [float(v) for v in row]
+            for row in zip(
+                study.bias.rate_ratio,
+                study.bias.ratio,
+                100 * study.bias.formula_13,
+                100 * study.bias.formula_10,
+                100 * study.bias.ours,
+                strict=True,
+            )
+        ]
+        columns = ("x = WL/W", "r = A2/A1", "equation (13), %", "equation (10), %", "ours, %")
+        title = "Bias of the paper's formulas, and what the exact method leaves on exact records"
+        tables.append(StudyTable("bias", title, columns, (".2f", ".8f", "+.4f", "+.4f", ".0e"), rows))
     if study.causes is not None:
         tables += [_causes_table(study.causes, window) for window in study.causes.together]
         tables.append(_other_causes_table(study.causes))
@@ -293,18 +301,6 @@ def _error_table(number: int, errors: ErrorStudy) -> StudyTable:
     title = f"Fig. {number}: error of the lock-in rate by peaks of a spectrum and equation (13){what}"
     formats = (*(["g", "g"] + [".3f"] * with_phase), *[".3f"] * (len(errors.by_peaks) + 1), ".0e")
     return StudyTable(f"figure{number}", title, tuple(columns), formats, rows, shown)
-
-
-def _bias_table(bias: BiasTable) -> StudyTable:
-    rows: list[Sequence[float | str]] = [
-        [float(v) for v in row]
-        for row in zip(
-            bias.rate_ratio, bias.ratio, 100 * bias.formula_13, 100 * bias.formula_10, 100 * bias.ours, strict=True
-        )
-    ]
-    columns = ("x = WL/W", "r = A2/A1", "equation (13), %", "equation (10), %", "ours, %")
-    title = "Bias of the paper's formulas, and what the exact method leaves on exact records"
-    return StudyTable("bias", title, columns, (".2f", ".8f", "+.4f", "+.4f", ".0e"), rows)
 
 
 def _causes_table(causes: Causes, window: str) -> StudyTable:
@@ -548,7 +544,11 @@ def _draw_causes(figure: Figure, causes: Causes) -> None:
     width = 0.8 / len(series)
     for index, (name, values, color) in enumerate(series):
         axes.bar(
-            places + (index - (len(series) - 1) / 2) * width, _size_percent(values), width, color=color, label=name
+            places + (index - (len(series) - 1) / 2) * width,
+            np.asarray(np.maximum(100 * np.abs(values), _FLOOR_PERCENT * 1.0001)),
+            width,
+            color=color,
+            label=name,
         )
     axes.set(yscale="log", ylim=(_FLOOR_PERCENT, 200), ylabel="size of the relative error, %")
     axes.set_xticks(places, [f"W = {w:g}\nWL = {wl:g}\nx{w / wl:.2g}" for w, wl in causes.points])
@@ -581,10 +581,6 @@ def _draw_experiment(figure: Figure, experiment: ExperimentCauses) -> None:
     axes.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
     axes.grid(visible=False, axis="x")
     legend_above(axes, columns=5)
-
-
-def _size_percent(values: Floats) -> Floats:
-    return np.asarray(np.maximum(100 * np.abs(values), _FLOOR_PERCENT * 1.0001))
 
 
 def _up(value: float) -> str:

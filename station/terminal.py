@@ -201,7 +201,12 @@ def takes_now(stream: IO[str]) -> bool:
 def unbreakable_streams() -> Iterator[Streams]:
     """Put streams that do not break into the place of ``sys.stdout`` and ``sys.stderr``."""
     before = sys.stdin, sys.stdout, sys.stderr
-    _fill_descriptors()
+    for number in (0, 1, 2):
+        try:
+            os.fstat(number)
+        except OSError:
+            with suppress(OSError):
+                os.open(os.devnull, os.O_RDWR)
     raw: list[_Descriptor | None] = []
     for stream, waits in ((before[1], True), (before[2], False)):
         raw.append(_descriptor_of(stream, waits=waits))
@@ -215,16 +220,6 @@ def unbreakable_streams() -> Iterator[Streams]:
             with suppress(ValueError):
                 stream.flush()
         sys.stdin, sys.stdout, sys.stderr = before
-
-
-def _fill_descriptors() -> None:
-    """Open what was closed: a run must not get the number of a standard stream, to which others write."""
-    for number in (0, 1, 2):
-        try:
-            os.fstat(number)
-        except OSError:
-            with suppress(OSError):
-                os.open(os.devnull, os.O_RDWR)
 
 
 def _descriptor_of(stream: IO[str] | None, *, waits: bool) -> _Descriptor | None:

@@ -307,7 +307,13 @@ def _corner(
         raise NoBudget(f"{quantity}: a corner of {corner.hz!r} Hz lets no beat through")
     corrected = corner.corrected and 0 < corner.hz < math.inf
     if corrected and math.sqrt(3) * corner.u_hz < corner.hz:
-        by_hz = -slope * ratio * _relative_slope(response, frequency, corner)
+        # It goes with the square of the corner: over an uncertainty of a tenth its slope is not constant, so
+        # the deviation is taken over the distribution (three-point Gauss-Hermite rule; JCGM 100, 5.1.3 allows it).
+        reach = math.sqrt(3) * corner.u_hz if corner.u_hz > 0 else 1e-4 * corner.hz
+        low, middle, high = (float(abs(response(frequency, corner.hz + side * reach))) for side in (-1, 0, 1))
+        mean = (low + 4 * middle + high) / 6
+        variance = ((low - mean) ** 2 + 4 * (middle - mean) ** 2 + (high - mean) ** 2) / 6
+        by_hz = -slope * ratio * math.copysign(math.sqrt(3 * variance) / (reach * middle), high - low)
         note = f"corrected for, by {1 / factor - 1:+.2%} of r"
         return BudgetInput(name, quantity, "Hz", corner.hz, corner.u_hz, "normal", by_hz, note=note)
     lost = 1 / factor - 1 if corrected else 1 - factor
@@ -328,17 +334,6 @@ def _corner(
         note=known.note(name, f"{corner.hz:.4g} Hz", note),
         stated=name not in known.assumed,
     )
-
-
-def _relative_slope(response: Factor, frequency: float, corner: ResponseCorner) -> float:
-    """Relative change of the response by the corner, per Hz, such that this times u is the standard deviation."""
-    # The effect goes with the square of the corner: over an uncertainty of a tenth its slope is not constant, so
-    # the deviation is taken over the distribution (three-point Gauss-Hermite rule; JCGM 100, 5.1.3 allows it).
-    reach = math.sqrt(3) * corner.u_hz if corner.u_hz > 0 else 1e-4 * corner.hz
-    low, middle, high = (float(abs(response(frequency, corner.hz + side * reach))) for side in (-1, 0, 1))
-    mean = (low + 4 * middle + high) / 6
-    variance = ((low - mean) ** 2 + 4 * (middle - mean) ** 2 + (high - mean) ** 2) / 6
-    return math.copysign(math.sqrt(3 * variance) / (reach * middle), high - low)
 
 
 # --------------------

@@ -626,7 +626,10 @@ def with_words_put_in(values: Floats, squares: Mapping[str, float], interval_s: 
     gone = np.ones(size, dtype=np.bool_)
     gone[: values.size] = np.isnan(values)
     known[~gone] = values[~np.isnan(values)]
-    spectrum = _spectrum_of_words(squares, size, interval_s)
+    omega = 2 * np.pi * np.arange(1, size // 2 + 1) / size
+    grid = np.geomspace(omega[0], np.pi, _POINTS)
+    shape = sum(square * increment_spectrum(name, grid, interval_s) for name, square in squares.items())
+    spectrum = np.exp(np.interp(np.log(omega), np.log(grid), np.log(shape / (4 * np.sin(grid / 2) ** 2))))
     weight = np.concatenate([[0.0], float(np.median(spectrum)) / spectrum])  # the level may be anything
     white = scipy.fft.rfft(np.random.default_rng(0).normal(size=size))
     drawn = scipy.fft.irfft(white * np.concatenate([[0.0], np.sqrt(spectrum)]), size)
@@ -644,14 +647,6 @@ def with_words_put_in(values: Floats, squares: Mapping[str, float], interval_s: 
     expected, _ = cg(operator, -weighted(np.where(gone, 0.0, known - drawn)), rtol=_TOLERANCE, maxiter=_MOST_STEPS)
     known[gone] = drawn[gone] + expected
     return np.where(np.isnan(values) & ~fillable(values), np.nan, known[: values.size])
-
-
-def _spectrum_of_words(squares: Mapping[str, float], size: int, interval_s: float) -> Floats:
-    """Spectrum of the words at the frequencies of a transform, without 0; its mean is their variance."""
-    omega = 2 * np.pi * np.arange(1, size // 2 + 1) / size
-    grid = np.geomspace(omega[0], np.pi, _POINTS)
-    shape = sum(square * increment_spectrum(name, grid, interval_s) for name, square in squares.items())
-    return np.exp(np.interp(np.log(omega), np.log(grid), np.log(shape / (4 * np.sin(grid / 2) ** 2))))
 
 
 # --------------------

@@ -187,7 +187,14 @@ def residual_pattern(
         "near zero": True,
     }
     near = ~away & (rate != 0)
-    left, left_u = _beside_the_smooth_curve(rate, output, u, away, near)
+    scaled = rate / np.abs(rate).max()
+    columns = [np.ones_like(rate), scaled, np.abs(scaled), scaled**3]
+    enough = int(away.sum()) >= 6 and bool(np.any(rate[away] > 0) and np.any(rate[away] < 0))
+    design = np.column_stack(columns if enough else columns[:2])
+    inverse = np.linalg.pinv(design[away] / u[away, np.newaxis])
+    curve = design @ (inverse @ (output[away] / u[away]))
+    curve_variance = np.sum((design[near] @ inverse) ** 2, axis=1)
+    left, left_u = output[near] - curve[near], np.sqrt(u[near] ** 2 + curve_variance)
     near_p = _chance(left / left_u, left.size)
     near_ppm = _PPM * float(np.abs(left / (slope * rate[near])).max()) if left.size else float("nan")
     found = [name for name, p in (("odd", odd_p), ("even", even_p), ("near zero", near_p)) if p < _SIGNIFICANT]
@@ -203,20 +210,6 @@ def residual_pattern(
         near_p,
         tuple(names),
     )
-
-
-def _beside_the_smooth_curve(
-    rate: Floats, output: Floats, u: Floats, away: Bools, near: Bools
-) -> tuple[Floats, Floats]:
-    """Output of the points near zero less a smooth curve through the others, and its standard uncertainty."""
-    scaled = rate / np.abs(rate).max()
-    columns = [np.ones_like(rate), scaled, np.abs(scaled), scaled**3]
-    enough = int(away.sum()) >= 6 and bool(np.any(rate[away] > 0) and np.any(rate[away] < 0))
-    design = np.column_stack(columns if enough else columns[:2])
-    inverse = np.linalg.pinv(design[away] / u[away, np.newaxis])
-    curve = design @ (inverse @ (output[away] / u[away]))
-    curve_variance = np.sum((design[near] @ inverse) ** 2, axis=1)
-    return output[near] - curve[near], np.sqrt(u[near] ** 2 + curve_variance)
 
 
 def _stands_out(first: Floats, curve: Floats, part: Floats, other: Floats, part_u: Floats) -> bool:

@@ -58,17 +58,17 @@ def superposed_numbers(rates_dps: ArrayLike, differences: RateDifferences) -> In
         whole = np.round(times, 9) if place == order[-1] else np.trunc(np.round(times, 4))
         multiples[:, place] = whole
         left = left - whole * differences.delta_dps[place]
-    return InjectionPlan(rates, multiples @ differences.number, _superposed_u(multiples, differences), multiples)
-
-
-def _superposed_u(multiples: Floats, differences: RateDifferences) -> Floats:
-    """Uncertainty of sums of differences that all hold the same base."""
     own = np.sqrt(np.maximum(differences.noise_u**2 - differences.base_u**2, 0.0))
     # an irreproducible difference holds its two rates in nearly equal parts
     scatter = differences.irreproducibility_u / np.sqrt(2.0)
     of_own = (multiples**2) @ (own**2 + scatter**2)
     base = differences.base_u**2 + (float(scatter.mean()) ** 2 if scatter.size else 0.0)
-    return np.asarray(np.sqrt(of_own + multiples.sum(axis=1) ** 2 * base), dtype=np.float64)
+    return InjectionPlan(
+        rates,
+        multiples @ differences.number,
+        np.asarray(np.sqrt(of_own + multiples.sum(axis=1) ** 2 * base), dtype=np.float64),
+        multiples,
+    )
 
 
 def scaled_numbers(rates_dps: ArrayLike, scale_factor: float, scale_factor_u: float = 0.0) -> InjectionPlan:

@@ -178,7 +178,10 @@ class OddEven:
 
 def odd_even_parts(runs: TableRuns, *, end_up: int = 1) -> OddEven:
     """Odd and even parts of the runs with one end of the axis up; several runs of a kind are averaged."""
-    chosen = _of_end(runs, end_up)
+    kept = runs.end_up == end_up
+    if not kept.any():
+        raise ValueError(f"there is no run with the {'upper' if end_up > 0 else 'lower'} end of the axis up")
+    chosen = runs.chosen(kept)
     if alone := missing_senses(chosen):
         names = ", ".join(f"{rate:+g} deg/s" for rate in alone)
         raise ValueError(f"the opposite sense of {names} is missing: run it, or leave the point out")
@@ -189,13 +192,6 @@ def odd_even_parts(runs: TableRuns, *, end_up: int = 1) -> OddEven:
         odd, even = (forward[1] - backward[1]) / 2, (forward[1] + backward[1]) / 2
         rows.append(((forward[0] - backward[0]) / 2, end_up * odd, u, even, u, (forward[3] + backward[3]) / 2))
     return OddEven(*np.array(rows, dtype=np.float64).T)
-
-
-def _of_end(runs: TableRuns, end_up: int) -> TableRuns:
-    kept = runs.end_up == end_up
-    if not kept.any():
-        raise ValueError(f"there is no run with the {'upper' if end_up > 0 else 'lower'} end of the axis up")
-    return runs.chosen(kept)
 
 
 def _average(runs: TableRuns, nominal: float) -> tuple[float, float, float, float]:

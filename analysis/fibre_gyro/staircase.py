@@ -239,23 +239,18 @@ def _fit_heights(record: Floats, levels: Levels, wraps: Ints, sign: float) -> tu
     if abs(found.values["b"]) < 4 * found.u_of(b=1.0):
         del columns["b"]
         found = fit()
-    _check_heights(found, levels.heights)
-    return found, spacing
-
-
-def _check_heights(fit: RoundedFit, heights: Floats) -> None:
-    """Refuse what the model fits but does not mean. Raises ValueError."""
-    height, span, bias = fit.values["h"], fit.values.get("R", np.inf), fit.values.get("b", 0.0)
-    if abs(height) < 4 * fit.u_of(h=1.0):
+    height, span, bias = found.values["h"], found.values.get("R", np.inf), found.values.get("b", 0.0)
+    if abs(height) < 4 * found.u_of(h=1.0):
         raise ValueError("the levels neither rise nor fall from step to step: no staircase is injected")
     # With so few steps a larger step the other way and half a span of bias would look the same.
     if abs(height) > span / 5 or abs(bias) > 0.4 * span:
         raise ValueError(_TOO_FEW_STEPS)
-    left = float(np.sqrt(np.mean((heights - fit.model) ** 2)))
+    left = float(np.sqrt(np.mean((levels.heights - found.model) ** 2)))
     if left > 0.3 * max(abs(height), abs(bias)):
         raise ValueError(
             "the levels do not follow a staircase with resets: look at the signal and at the range of the scope"
         )
+    return found, spacing
 
 
 def _fit_times(record: Floats, cut: Cut, levels: Levels) -> tuple[float, float, float]:
@@ -493,19 +488,14 @@ def _sums(volts: Floats) -> Floats:
 
 def _best_start(sums: Floats, n: int, period: float, starts: Floats) -> tuple[float, float, float]:
     """Sum of squares that the best of some starts explains; period; that start."""
-    explained = _explained(sums, n, period, starts)
-    # Many starts between two samples are equally good; the middle of them is the best guess.
-    equal = np.flatnonzero(explained >= explained.max() * (1 - 1e-12))
-    return float(explained.max()), float(period), float(starts[equal[len(equal) // 2]])
-
-
-def _explained(sums: Floats, n: int, period: float, starts: Floats) -> Floats:
-    """Sum of squares between the pieces, for each start; (S,)."""
     numbers = np.arange(-1, int(n / period) + 3)
     edges = np.clip(np.ceil(starts[:, np.newaxis] + period * numbers), 0, n).astype(np.int64)
     pieces = np.diff(sums[edges], axis=-1)
     lengths = np.diff(edges, axis=-1)
-    return np.asarray(np.sum(pieces**2 / np.maximum(lengths, 1), axis=-1))
+    explained = np.asarray(np.sum(pieces**2 / np.maximum(lengths, 1), axis=-1))
+    # Many starts between two samples are equally good; the middle of them is the best guess.
+    equal = np.flatnonzero(explained >= explained.max() * (1 - 1e-12))
+    return float(explained.max()), float(period), float(starts[equal[len(equal) // 2]])
 
 
 def _without_false_edges(volts: Floats, cut: Cut) -> Cut:
@@ -582,7 +572,17 @@ def read_levels(volts: Floats, cut: Cut) -> Levels:
     phase = positions - cut.start - number * cut.period
     after, before, settled = _disturbed(volts, cut.period, number, phase)
     usable = np.isfinite(volts) & (phase >= after) & (cut.period - phase > before)
-    usable = _without_spikes(volts, number, usable)
+    kept = usable.copy()
+    places = np.flatnonzero(usable)
+    groups = np.split(places, np.flatnonzero(np.diff(number[places])) + 1)
+    centre = np.zeros(len(volts))
+    for group in groups:
+        centre[group] = np.median(volts[group])
+    away = np.abs(volts - centre)
+    # A converter that rounds leaves most samples without any scatter; one level off is no spike.
+    rms = max(1.5 * float(np.median(away[usable])), 0.5 * float(np.sqrt(12 * rounding_variance(volts))))
+    kept[usable & (away > _SPIKE * rms)] = False
+    usable = kept
     numbers, counts, heights = piece_means(volts, number, usable)
     # A piece of a level at the ends of the record, or between missing samples, says little and may be all edge.
     usable &= np.isin(number, numbers[counts >= _ENOUGH * np.median(counts)])
@@ -629,20 +629,6 @@ def _response(
     weight = np.maximum(np.bincount(at, weights=jump[usable] ** 2), 1e-300)
     response = np.bincount(at, weights=(jump * left)[usable]) / weight
     return np.asarray(response, np.float64), np.asarray(4 * scatter / np.sqrt(weight))
-
-
-def _without_spikes(volts: Floats, number: Ints, usable: Bools) -> Bools:
-    kept = usable.copy()
-    places = np.flatnonzero(usable)
-    groups = np.split(places, np.flatnonzero(np.diff(number[places])) + 1)
-    centre = np.zeros(len(volts))
-    for group in groups:
-        centre[group] = np.median(volts[group])
-    away = np.abs(volts - centre)
-    # A converter that rounds leaves most samples without any scatter; one level off is no spike.
-    rms = max(1.5 * float(np.median(away[usable])), 0.5 * float(np.sqrt(12 * rounding_variance(volts))))
-    kept[usable & (away > _SPIKE * rms)] = False
-    return kept
 
 
 def _within(volts: Floats, number: Ints, phase: Floats, usable: Bools, period: float) -> tuple[float, float]:

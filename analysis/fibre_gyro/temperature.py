@@ -262,8 +262,13 @@ class _Noise:
     products: Floats  # (h, p + 1, p + 1): X^T V^-1 X, X the columns of the design and, last, the values
 
 
-def _slow_noises(at: Floats) -> list[Floats]:
-    """Covariances of slow noise of one, of each kind."""
+def _noise_hypotheses(value: Floats, u: Floats, at: Floats, design: Floats) -> _Noise:
+    left = value - design @ np.linalg.lstsq(design, value, rcond=None)[0]
+    quiet = float(np.sqrt(np.mean(u**2)))
+    spread = float(np.sqrt(left @ left / max(value.size - design.shape[1], 1)))
+    size = np.concatenate([[0.0], np.geomspace(0.05 * quiet, 10 * quiet + 20 * spread, _SIZES)])
+    share = np.gradient(size) / (size + quiet / 3)
+    share[0] = _NOTHING_BEYOND * float(share[size < quiet].sum())
     apart, span = np.abs(np.subtract.outer(at, at)), float(np.ptp(at)) or 1.0
     shortest = span / max(at.size - 1, 1)
     # equal parts for each decade of time make 1/f
@@ -273,17 +278,7 @@ def _slow_noises(at: Floats) -> list[Floats]:
     walk -= walk.mean(axis=0)
     walk -= walk.mean(axis=1)[:, np.newaxis]
     walk /= np.trace(walk) / at.size or 1.0
-    return [np.eye(at.size), segments, np.asarray(np.mean(parts, axis=0)), walk]
-
-
-def _noise_hypotheses(value: Floats, u: Floats, at: Floats, design: Floats) -> _Noise:
-    left = value - design @ np.linalg.lstsq(design, value, rcond=None)[0]
-    quiet = float(np.sqrt(np.mean(u**2)))
-    spread = float(np.sqrt(left @ left / max(value.size - design.shape[1], 1)))
-    size = np.concatenate([[0.0], np.geomspace(0.05 * quiet, 10 * quiet + 20 * spread, _SIZES)])
-    share = np.gradient(size) / (size + quiet / 3)
-    share[0] = _NOTHING_BEYOND * float(share[size < quiet].sum())
-    shapes = _slow_noises(at)
+    shapes = [np.eye(at.size), segments, np.asarray(np.mean(parts, axis=0)), walk]
     rows = [(0.0, 0, float(share[0]))]
     rows += [
         (float(one), kind, float(weight) * _SHARES[kind])

@@ -171,7 +171,14 @@ def _refined_grid(when: Floats, value: Floats, count: int, range_s: tuple[float,
         )
         if count == 2:
             logs = logs[logs[:, 1] > logs[:, 0] + math.log(2)]
-        grid = _linear_fits(when, value, np.exp(logs), float(step.prod()) / whole)
+        taus = np.exp(logs)
+        share = float(step.prod()) / whole
+        designs = _designs(when, taus)
+        q, r = np.linalg.qr(designs)
+        root = np.linalg.inv(r)
+        amplitudes = np.einsum("mij,mnj,n->mi", root, q, value)
+        left = value - np.einsum("mni,mi->mn", designs, amplitudes)
+        grid = _Grid(taus, amplitudes, root, np.maximum(np.sum(left**2, axis=1), 1e-300), share)
         likely = value.size / 2 * np.log(grid.square / grid.square.min()) < _LIKELY
         kept = logs[likely]
         new = np.maximum(kept.min(axis=0) - step, low), np.minimum(kept.max(axis=0) + step, high)
@@ -179,15 +186,6 @@ def _refined_grid(when: Floats, value: Floats, count: int, range_s: tuple[float,
             break
         low, high = new
     return grid
-
-
-def _linear_fits(when: Floats, value: Floats, taus: Floats, share: float) -> _Grid:
-    designs = _designs(when, taus)
-    q, r = np.linalg.qr(designs)
-    root = np.linalg.inv(r)
-    amplitudes = np.einsum("mij,mnj,n->mi", root, q, value)
-    left = value - np.einsum("mni,mi->mn", designs, amplitudes)
-    return _Grid(taus, amplitudes, root, np.maximum(np.sum(left**2, axis=1), 1e-300), share)
 
 
 def _alike(best: _Grid, when: Floats, value: Floats) -> float:

@@ -84,7 +84,13 @@ def evaluate(
     # 2. the table: tilt, and the rate on the axis
     tilt = None
     if axis is None and axis_rate_is_known(run, knowledge):
-        tilt = find_tilt(run.fast, knowledge, _best_shown(each))
+        with np.errstate(divide="ignore", invalid="ignore"):  # noise may leave a lock-in rate of zero
+            relative = np.where(each.usable, each.lock_in_rate_u / each.lock_in_rate, np.nan)
+        tilt = find_tilt(
+            run.fast,
+            knowledge,
+            (float(each.lock_in_rate[np.nanargmin(relative)]) if np.isfinite(relative).any() else math.nan),
+        )
         axis = axis_rates(run.slow, tilt, knowledge)
     # 3. the mean of all records, or each rate alone and then one fit
     several = None
@@ -129,7 +135,10 @@ def _checked_by_table(found: LockInRun, run: RunArrays, axis: AxisRates, knowled
         return found
     each = found.each, fast_estimates(run.fast, knowledge)
     check = check_by_table(run, each, found.combined, by_table, axis, found.tilt, knowledge)
-    return replace(found, table_check=check, combined=_flagged(found.combined, check))
+    flags = int(found.combined.flags)
+    flags |= int(Flag.TABLE_MISMATCH) if check.mismatch else 0
+    flags |= int(Flag.SCALE_FACTOR_MISMATCH) if check.scale_factor_mismatch else 0
+    return replace(found, table_check=check, combined=replace(found.combined, flags=np.asarray(flags)))
 
 
 def _one_rate_by_table(found: LockInRun, axis: AxisRates) -> ByTable | None:
@@ -144,20 +153,6 @@ def _one_rate_by_table(found: LockInRun, axis: AxisRates) -> ByTable | None:
         float(np.mean(axis.rates)),
         float(found.combined.beat_frequency),
     )
-
-
-def _flagged(result: LockInEstimate, check: TableCheck) -> LockInEstimate:
-    flags = int(result.flags)
-    flags |= int(Flag.TABLE_MISMATCH) if check.mismatch else 0
-    flags |= int(Flag.SCALE_FACTOR_MISMATCH) if check.scale_factor_mismatch else 0
-    return replace(result, flags=np.asarray(flags))
-
-
-def _best_shown(each: LockInEstimate) -> float:
-    """Lock-in rate, deg/s, of the record that shows it best (at several rates a slow one); nan if none does."""
-    with np.errstate(divide="ignore", invalid="ignore"):  # noise may leave a lock-in rate of zero
-        relative = np.where(each.usable, each.lock_in_rate_u / each.lock_in_rate, np.nan)
-    return float(each.lock_in_rate[np.nanargmin(relative)]) if np.isfinite(relative).any() else math.nan
 
 
 # --------------------
@@ -594,21 +589,16 @@ def _rates_budget(
     scale = fit.lock_in_rate / at_one_rate.lock_in_rate if at_one_rate.lock_in_rate else 1.0
     common = [line for line in at_one_rate.inputs if line.common and line.name not in _CORNER_NAMES]
     lines = [replace(line, sensitivity=line.sensitivity * scale) for line in common]
-    hardly_seen = _hardly_seen(fit, receiver, slowest)
-    lines += [*_from_fit(fit, samples, hardly_seen), *_from_channel(each, fit, known, point, receiver)]
-    return Budget(fit.lock_in_rate, "beat", tuple(lines))
-
-
-def _hardly_seen(fit: RatesFit, receiver: ReceiverKnowledge, slowest_beat_hz: float) -> list[str]:
-    """What nobody stated and the records do not tell either: the fit knows of it no more than its bound."""
-    prior = receiver.prior(slowest_beat_hz).sd
+    prior = receiver.prior(slowest).sd
     unknowns = (
         ("distortion", receiver.second_order_limit, fit.distortion_u, prior[2]),
         ("gain corner", receiver.gain_corner.hz, fit.gain_time_u, prior[3]),
         ("bandwidth", receiver.bandwidth.hz, fit.lag_square_u, prior[4]),
         ("third order", receiver.third_order_limit, fit.third_order_u, prior[5]),
     )
-    return [name for name, stated, u, before in unknowns if math.isnan(stated) and u > _HARDLY * before]
+    hardly_seen = [name for name, stated, u, before in unknowns if math.isnan(stated) and u > _HARDLY * before]
+    lines += [*_from_fit(fit, samples, hardly_seen), *_from_channel(each, fit, known, point, receiver)]
+    return Budget(fit.lock_in_rate, "beat", tuple(lines))
 
 
 def _from_fit(fit: RatesFit, samples: int, hardly_seen: list[str]) -> Iterator[BudgetInput]:

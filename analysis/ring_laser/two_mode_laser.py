@@ -149,7 +149,11 @@ def _newton(laser: TwoModeLaser, input_rate: float, values: Floats) -> Floats | 
     """Solution of the equations at all points at once; None where the phase stands still or nothing converges."""
     n = values.shape[1]
     psi = _phases(n, input_rate)
-    derive = _derivative(n) * np.sign(input_rate)
+    steps = np.subtract.outer(np.arange(n), np.arange(n))
+    with np.errstate(divide="ignore"):
+        matrix = 0.5 * np.where(steps % 2 == 0, 1.0, -1.0) / np.sin(np.pi * steps / n)
+    np.fill_diagonal(matrix, 0.0)
+    derive = np.asarray(matrix) * np.sign(input_rate)
     sagnac = 2 * np.pi * laser.scale_factor * abs(input_rate)
     for _ in range(ROUNDS):
         speed, growth, speed_by, growth_by = _slopes(laser, input_rate, psi, values)
@@ -195,17 +199,6 @@ def _slopes(
 def _phases(n: int, input_rate: float) -> Floats:
     """n phases over one turn, in the order of time."""
     return np.asarray(np.sign(input_rate) * 2 * np.pi * np.arange(n) / n)
-
-
-def _derivative(n: int) -> Floats:
-    """Matrix (n, n) of the derivative of a periodic function at n (odd) even steps over one turn; exact for its
-    trigonometric polynomial.
-    """
-    steps = np.subtract.outer(np.arange(n), np.arange(n))
-    with np.errstate(divide="ignore"):
-        matrix = 0.5 * np.where(steps % 2 == 0, 1.0, -1.0) / np.sin(np.pi * steps / n)
-    np.fill_diagonal(matrix, 0.0)
-    return np.asarray(matrix)
 
 
 def _harmonics(laser: TwoModeLaser, input_rate: float, values: Floats) -> SteadyBeat:

@@ -653,7 +653,14 @@ def over_gain_times(
         return said
     fits, at = _fits_at(times, found, data, prior)
     heights = 0.5 * (fits.chi_square - fits.chi_square.min()) / widen
-    weights = (_shares(times, prior)[at] * minimum_volumes(fits)) * np.exp(-heights)
+    mean, sd = prior.mean[_GAIN_TIME], prior.sd[_GAIN_TIME]
+    # a bound ends much sooner than a bell
+    beyond = times - mean if mean > 0 else _ENDS * np.maximum(times - math.sqrt(3) * sd, 0.0)
+    middles = (times[1:] + times[:-1]) / 2
+    edges = np.concatenate([times[:1], middles, times[-1:]])
+    weights = (
+        np.asarray(np.diff(edges) * np.exp(-0.5 * (beyond / sd) ** 2))[at] * minimum_volumes(fits)
+    ) * np.exp(-heights)
     weights /= weights.sum()
     values, us = np.hypot(fits.parameters[:, 0], fits.parameters[:, 1]), size_us(fits) * math.sqrt(widen)
     square = float(np.sum(weights * (us**2 + (values - said.value) ** 2)))
@@ -671,16 +678,6 @@ def _gain_times(found: RatioFit, prior: Prior, widen: float) -> Floats:
         times.append(minimum[_GAIN_TIME] + math.sqrt(variance * widen) * _ABOUT_A_MINIMUM)
     rising = np.unique(np.concatenate(times))
     return np.asarray(rising[rising >= 0])
-
-
-def _shares(times: Floats, prior: Prior) -> Floats:
-    """Probability beforehand about each gain time: of a bell where it is known, else of a rectangle."""
-    mean, sd = prior.mean[_GAIN_TIME], prior.sd[_GAIN_TIME]
-    # a bound ends much sooner than a bell
-    beyond = times - mean if mean > 0 else _ENDS * np.maximum(times - math.sqrt(3) * sd, 0.0)
-    middles = (times[1:] + times[:-1]) / 2
-    edges = np.concatenate([times[:1], middles, times[-1:]])
-    return np.asarray(np.diff(edges) * np.exp(-0.5 * (beyond / sd) ** 2))
 
 
 def _fits_at(times: Floats, found: RatioFit, data: RatioData, prior: Prior) -> tuple[RatioFit, Indices]:

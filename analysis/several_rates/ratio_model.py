@@ -121,7 +121,12 @@ def predicted(parameters: Floats, data: RatioData) -> tuple[Complexes, Floats]:
     size = third_order * amplitude**2
     distorted = own + distortion * amplitude * (1 - share - 2j * own * own.imag) + size * by_cubic_law(own)
     ratio = distorted * low_pass_factor(share, lag)
-    third = (size * third_harmonic_share(share) * _third_behind_pole(lag) + own**2 * _third_by_low_pass(lag)).real
+    x = 1j * np.sqrt(np.abs(lag))
+    passed = (1 + x) ** 3 / ((1 + 3 * x) * np.abs(1 + x) ** 2)
+    third = (
+        size * third_harmonic_share(share) * np.asarray(np.where(lag < 0, 2 - passed, passed))
+        + own**2 * _third_by_low_pass(lag)
+    ).real
     return np.asarray(ratio), np.asarray(third)
 
 
@@ -254,13 +259,6 @@ def third_order_by_third_harmonic(parameters: Floats, data: RatioData) -> tuple[
     return (float(np.sum(weight * share * data.third)) / power, power**-0.5) if power > 0 else (0.0, np.inf)
 
 
-def _third_behind_pole(lag: Floats) -> Complexes:
-    """What one pole makes of a third harmonic, over the fundamental: H(3f) |H(f)|^2/H(f)^3."""
-    x = 1j * np.sqrt(np.abs(lag))
-    passed = (1 + x) ** 3 / ((1 + 3 * x) * np.abs(1 + x) ** 2)
-    return np.asarray(np.where(lag < 0, 2 - passed, passed))
-
-
 def _third_by_low_pass(lag: Floats) -> Complexes:
     """What one pole leaves at the third harmonic, over rho^2: H(3f) H(f)/H(2f)^2 - 1."""
     x = 1j * np.sqrt(np.abs(lag))
@@ -382,7 +380,9 @@ def all_solutions(data: RatioData, prior: Prior) -> RatioFit:
     # each; the lowest points of that map are the starts.
     tried = _minimised(data, prior, _starts(data, prior), _FIRST_ITERATIONS)
     tried = _apart(tried, np.zeros(len(tried.chi_square)))[:_FINISHED]
-    near = _minimised(data, prior, _around(tried.parameters, data, prior), _FIRST_ITERATIONS)
+    starts = np.repeat(tried.parameters, _BESIDE.size, axis=0)
+    starts[:, :2] *= np.tile(_BESIDE, len(tried.parameters))[:, np.newaxis]
+    near = _minimised(data, prior, _bounded(with_distortion_alone(starts, data, prior), data), _FIRST_ITERATIONS)
     tried = RatioFit(*(np.concatenate(pair) for pair in zip(tried.fields, near.fields, strict=True)))
     tried = _apart(tried, np.zeros(len(tried.chi_square)))[:_FINISHED]
     found = fit_ratios(data, prior, tried.parameters)
@@ -495,13 +495,6 @@ def _starts(data: RatioData, prior: Prior) -> Floats:
     sizes_chosen, phases_chosen = np.nonzero(chosen)
     starts = flat.reshape(*size.shape, -1)[sizes_chosen, phases_chosen, best[chosen]]
     return np.asarray(starts)
-
-
-def _around(found: Floats, data: RatioData, prior: Prior) -> Floats:
-    """Starts beside what was found (B, N_PARAMETERS): another lock-in rate, and nothing but distortion."""
-    starts = np.repeat(found, _BESIDE.size, axis=0)
-    starts[:, :2] *= np.tile(_BESIDE, len(found))[:, np.newaxis]
-    return _bounded(with_distortion_alone(starts, data, prior), data)
 
 
 def with_distortion_alone(points: Floats, data: RatioData, prior: Prior) -> Floats:

@@ -148,20 +148,16 @@ def outliers(
     for row in map(int, np.flatnonzero(residual.largest > 5 * rms)):
         left, mask = residual_samples(values, masks, series, row), masks.of_one(row)
         size, valid = np.abs(left), slice(None) if mask is None else mask > 0
-        noise = _noise_along(size, values[row] - left, valid)
+        wave = values[row] - left
+        edges = np.quantile(wave[valid], np.linspace(0.0, 1.0, HEIGHTS + 1)[1:-1])
+        height = np.searchsorted(edges, wave)
+        whole, held = 1.4826 * float(np.median(size[valid])), height[valid]
+        at_heights = [np.median(some) if (some := size[valid][held == k]).size else 0.0 for k in range(HEIGHTS)]
+        noise = np.maximum(1.4826 * np.array(at_heights), whole)[height]
         found = size > np.maximum(SPIKE * noise, NOTHING * float(swing[row]))
         if found.any() and found.mean() <= 0.02:
             spikes[row] = found, is_a_piece(found, size > BESIDE * noise)
     return spikes
-
-
-def _noise_along(size: Samples, wave: Samples, valid: slice | Bools) -> Floats:
-    """Standard deviation of the noise at each sample (N,), robust: that of light is larger where there is more."""
-    edges = np.quantile(wave[valid], np.linspace(0.0, 1.0, HEIGHTS + 1)[1:-1])
-    height = np.searchsorted(edges, wave)
-    whole, held = 1.4826 * float(np.median(size[valid])), height[valid]
-    at_heights = [np.median(some) if (some := size[valid][held == k]).size else 0.0 for k in range(HEIGHTS)]
-    return np.maximum(1.4826 * np.array(at_heights), whole)[height]
 
 
 HEIGHTS = 8  # parts of the beat, from its lowest samples to its highest, that have a noise of their own

@@ -122,22 +122,26 @@ def _fit_what_can_be(stack: Stack, part: slice, clipped: Bools | None) -> list[W
     except (np.linalg.LinAlgError, ArithmeticError):
         first, stop, _ = part.indices(len(stack.volts))
         if stop - first == 1:
-            return [_refused()]
+            unknown = np.array([np.nan])
+            nothing = np.zeros(1)  # finite, so that what is computed from it for all records stays silent
+            none: Complexes = np.zeros(1, dtype=np.complex128)
+            series = Series(nothing, none, none.copy(), np.ones(1))
+            flags = np.array([int(Flag.NOT_LOCK_IN_LIKE)])
+            return [
+                WaveformFit(
+                    series,
+                    np.full((1, 6, 6), np.nan),
+                    np.ones((1, 3)),
+                    unknown,
+                    unknown,
+                    unknown + 0j,
+                    nothing > 0,
+                    flags,
+                )
+            ]
         middle = (first + stop) // 2
         halves = slice(first, middle), slice(middle, stop)
         return [fit for half in halves for fit in _fit_what_can_be(stack, half, clipped)]
-
-
-def _refused() -> WaveformFit:
-    """One record of which nothing can be said."""
-    unknown = np.array([np.nan])
-    nothing = np.zeros(1)  # finite, so that what is computed from it for all records stays silent
-    none: Complexes = np.zeros(1, dtype=np.complex128)
-    series = Series(nothing, none, none.copy(), np.ones(1))
-    flags = np.array([int(Flag.NOT_LOCK_IN_LIKE)])
-    return WaveformFit(
-        series, np.full((1, 6, 6), np.nan), np.ones((1, 3)), unknown, unknown, unknown + 0j, nothing > 0, flags
-    )
 
 
 def _fit_part(stack: Stack, part: slice, clipped: Bools | None) -> WaveformFit:

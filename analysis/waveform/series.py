@@ -204,7 +204,14 @@ class SeriesSums:
         n_samples, kind = values.shape[1], values.dtype
         n_harmonics = orders_needed(largest, LEFT_OUT_OF_DATA[kind], 3)
         n_orders = orders_needed(largest, LEFT_OUT_OF_KERNELS[kind], 6)
-        of_powers = _powers_of_g(series.ratio, n_orders)
+        powers = np.empty((series.ratio.size, n_orders), dtype=np.complex128)
+        powers[:, 0] = 1.0
+        powers[:, 1:] = series.ratio[:, np.newaxis]
+        np.multiply.accumulate(powers, axis=1, out=powers)
+        coefficients = np.zeros((series.ratio.size, n_orders, 4), dtype=np.complex128)
+        for j, binomials in enumerate(_binomials(n_orders)):
+            np.multiply(powers[:, : n_orders - j], binomials, out=coefficients[:, j:, j])
+        of_powers = coefficients
         if weights is None:
             kernels = uniform_kernels(series.omega, n_samples, n_orders)
             counts = kernels[:, :, 0]
@@ -221,18 +228,6 @@ class SeriesSums:
     def put(self, part: Indices, other: SeriesSums) -> None:
         """Write the other's records into the places `part` of this one."""
         self.counts[part], self.of_g[part], self.of_data[part] = other.counts, other.of_g, other.of_data
-
-
-def _powers_of_g(ratio: Phasors, n_orders: int) -> Phasors:
-    """Coefficients C(k-1, j-1) q^(k-j) of e^k in g^j; k = 1..n_orders, j = 1..4; (R, n_orders, 4)."""
-    powers = np.empty((ratio.size, n_orders), dtype=np.complex128)
-    powers[:, 0] = 1.0
-    powers[:, 1:] = ratio[:, np.newaxis]
-    np.multiply.accumulate(powers, axis=1, out=powers)
-    coefficients = np.zeros((ratio.size, n_orders, 4), dtype=np.complex128)
-    for j, binomials in enumerate(_binomials(n_orders)):
-        np.multiply(powers[:, : n_orders - j], binomials, out=coefficients[:, j:, j])
-    return coefficients
 
 
 @cache

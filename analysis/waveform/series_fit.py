@@ -277,24 +277,20 @@ def gauss_newton(task: Task, start: Series) -> tuple[SeriesFit, Bools]:
             fit = now
         else:
             fit.put(active, now)
-        active = never_alone(np.unique(active[_must_go_on(change, now, n_samples)]))
+        series = now.series
+        size = np.maximum(np.abs(series.first), 1e-300)
+        by_first = np.hypot(change[:, 1], change[:, 2]) / size
+        by_ratio = np.hypot(change[:, 3], change[:, 4])
+        # Near lock-in the waveform is a narrow spike, which bends the more.
+        narrowness = 1 / np.maximum(1 - np.abs(series.ratio) ** 2, 1e-3)
+        curvature = (change[:, 5] ** 2 + by_ratio * (by_ratio + by_first)) * narrowness**6
+        noise = np.sqrt(now.residual_power * 2) / (n_samples * size)
+        active = never_alone(np.unique(active[np.asarray(curvature > CURVATURE * noise + 1e-22)]))
         if active.size == 0:
             break
     converged = np.abs(fit.series.ratio) < LARGEST_RATIO
     converged[active] = False
     return fit, converged
-
-
-def _must_go_on(change: Floats, fit: SeriesFit, n_samples: int) -> Bools:
-    series = fit.series
-    size = np.maximum(np.abs(series.first), 1e-300)
-    by_first = np.hypot(change[:, 1], change[:, 2]) / size
-    by_ratio = np.hypot(change[:, 3], change[:, 4])
-    # Near lock-in the waveform is a narrow spike, which bends the more.
-    narrowness = 1 / np.maximum(1 - np.abs(series.ratio) ** 2, 1e-3)
-    curvature = (change[:, 5] ** 2 + by_ratio * (by_ratio + by_first)) * narrowness**6
-    noise = np.sqrt(fit.residual_power * 2) / (n_samples * size)
-    return np.asarray(curvature > CURVATURE * noise + 1e-22)
 
 
 def levenberg_marquardt(task: Task, start: Series) -> SeriesFit:

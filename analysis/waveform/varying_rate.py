@@ -463,7 +463,13 @@ def first_phase(values: Floats, mask: Floats) -> FirstPhase | None:
     places = np.arange(values.size)
     filled = values if valid.all() else np.interp(places, places[valid], values[valid])
     smooth = _smoothed(filled)
-    crests, signs = _crests(smooth)
+    middle, half = (smooth.max() + smooth.min()) / 2, np.ptp(smooth) / 2
+    side = np.sign(smooth - middle) * (np.abs(smooth - middle) > SWUNG * half)
+    seen = np.maximum.accumulate(np.where(side != 0, np.arange(smooth.size), 0))
+    side = side[np.maximum(seen, int(np.argmax(side != 0)))]
+    starts = np.concatenate([[0], np.flatnonzero(np.diff(side)) + 1])
+    pieces = np.split(smooth * side, starts[1:])
+    crests, signs = starts + np.array([int(piece.argmax()) for piece in pieces]), side[starts]
     if crests.size < FEWEST_CRESTS:
         return None
     envelope = _Envelope.of(crests[1:-1], smooth[crests[1:-1]], signs[1:-1], values.size)
@@ -479,7 +485,15 @@ def first_phase(values: Floats, mask: Floats) -> FirstPhase | None:
     # half turns: even while the beat rises
     half_turns = np.searchsorted(passed, places, side="right") + (signs[0] < 0)
     phase = half_turns * np.pi + np.where(half_turns % 2 == 0, 1, -1) * np.arcsin(level)
-    return FirstPhase(_bridged(phase, valid), envelope.amplitude, envelope.offset, envelope.trusted, envelope.step)
+    edges = np.flatnonzero(np.diff(np.concatenate([[1], valid.astype(int), [1]])))
+    speed = (phase[-1] - phase[0]) / phase.size
+    for start, stop in edges.reshape(-1, 2):
+        if start > 0 and stop < phase.size and (stop - start) * speed > 1:
+            expected = speed * (stop - start + 1)
+            turns = np.rint((expected - (phase[stop] - phase[start - 1])) / (2 * np.pi))
+            phase[start:stop] += np.linspace(0, 2 * np.pi * turns, stop - start)
+            phase[stop:] += 2 * np.pi * turns
+    return FirstPhase(phase, envelope.amplitude, envelope.offset, envelope.trusted, envelope.step)
 
 
 def _smoothed(values: Floats) -> Floats:
@@ -494,17 +508,6 @@ def _smoothed(values: Floats) -> Floats:
         return values
     kept = max(allowed, KEPT_LINES * float(power.argmax()), 1.0)
     return np.fft.irfft(lines * np.exp(-np.log(2) * (bins / kept) ** 2), values.size)
-
-
-def _crests(values: Floats) -> tuple[Indices, Floats]:
-    """Places of highest and lowest samples in turn, and which is which (1, -1), by a trigger with hysteresis."""
-    middle, half = (values.max() + values.min()) / 2, np.ptp(values) / 2
-    side = np.sign(values - middle) * (np.abs(values - middle) > SWUNG * half)
-    seen = np.maximum.accumulate(np.where(side != 0, np.arange(values.size), 0))
-    side = side[np.maximum(seen, int(np.argmax(side != 0)))]
-    starts = np.concatenate([[0], np.flatnonzero(np.diff(side)) + 1])
-    pieces = np.split(values * side, starts[1:])
-    return starts + np.array([int(piece.argmax()) for piece in pieces]), side[starts]
 
 
 @dataclass(frozen=True)
@@ -558,19 +561,6 @@ def _step_between(columns: Floats, middles: Floats) -> int | None:
     best, scatter = int(gains.argmax()), float(rough @ rough)
     gain = count * np.log(scatter / max(scatter - gains[best], 1e-12 * scatter)) if scatter > 0 else 0.0
     return best + 1 if gain > STEP_STANDS_OUT + 2 * np.log(count) else None
-
-
-def _bridged(phase: Floats, valid: Bools) -> Floats:
-    """The phase with the whole turns put in that were lost where samples are missing."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[1], valid.astype(int), [1]])))
-    speed = (phase[-1] - phase[0]) / phase.size
-    for start, stop in edges.reshape(-1, 2):
-        if start > 0 and stop < phase.size and (stop - start) * speed > 1:
-            expected = speed * (stop - start + 1)
-            turns = np.rint((expected - (phase[stop] - phase[start - 1])) / (2 * np.pi))
-            phase[start:stop] += np.linspace(0, 2 * np.pi * turns, stop - start)
-            phase[stop:] += 2 * np.pi * turns
-    return phase
 
 
 # --------------------

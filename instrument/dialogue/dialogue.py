@@ -422,7 +422,11 @@ class Exchange(ABC):
                 unread = 0
                 if self.persistence.careful:
                     with self._recovery():
-                        self._meet_again(identity)
+                        mask, again, text = self._ask_once(f"{_MASK}?;{_MASK}?;*IDN?", parts=3)
+                        if text != identity.text or mask != again:
+                            raise TransferError("the identity was answered in two ways; ask again")
+                        if not self.link.framed:
+                            self._mark = self._found_mask = self._integer(mask)
                 return identity
             except (LinkError, TransferError, WrongInstrument) as error:
                 silent += isinstance(error, LinkError)
@@ -434,14 +438,6 @@ class Exchange(ABC):
                 self.tally.repeated += 1
                 self.persistence.clock.sleep(_FIRST_PAUSE)
         raise LinkError(f"{self.link.name}: nothing was tried")
-
-    def _meet_again(self, identity: Identity) -> None:
-        """See that the identity comes alike once more; on a stream, begin with marks."""
-        mask, again, text = self._ask_once(f"{_MASK}?;{_MASK}?;*IDN?", parts=3)
-        if text != identity.text or mask != again:
-            raise TransferError("the identity was answered in two ways; ask again")
-        if not self.link.framed:
-            self._mark = self._found_mask = self._integer(mask)
 
     # ------------------------------------------------------------------ what came
 

@@ -111,7 +111,14 @@ class RecordQuestion:
         waveforms = []
         for source, text, data in zip(self.sources, texts, curves, strict=True):
             preamble = Preamble.parse(text)
-            _check_format(text, preamble, source)
+            form = (preamble.byt_nr, preamble.encdg, preamble.bn_fmt)
+            if form != (1, "BIN", "RI") or text.lstrip().startswith(":"):
+                raise TransferError(
+                    "somebody changed headers or the transfer format; it has been set again, ask again"
+                )
+            named = preamble.wfid.split(",")[0].upper().replace(" ", "")
+            if named != source:
+                raise TransferError(f"the record is of {named} instead of {source}; ask again")
             waveforms.append(decode_curve(data, preamble))
         if len({(waveform.preamble.xincr, waveform.preamble.xzero) for waveform in waveforms}) > 1:
             raise TransferError("the channels are not of one acquisition (was a knob turned?); ask again")
@@ -131,13 +138,3 @@ def _without_curve_header(fields: list[str]) -> list[str]:
     """Drop what stands between a preamble and its block: nothing, or with headers on ``:CURVE``."""
     last = fields[-1].strip().lstrip(":").upper()
     return fields[:-1] if not last or last.startswith("CURV") else fields
-
-
-def _check_format(text: str, preamble: Preamble, source: str) -> None:
-    """TransferError if the record is not the whole record of `source` in our format."""
-    form = (preamble.byt_nr, preamble.encdg, preamble.bn_fmt)
-    if form != (1, "BIN", "RI") or text.lstrip().startswith(":"):
-        raise TransferError("somebody changed headers or the transfer format; it has been set again, ask again")
-    named = preamble.wfid.split(",")[0].upper().replace(" ", "")
-    if named != source:
-        raise TransferError(f"the record is of {named} instead of {source}; ask again")

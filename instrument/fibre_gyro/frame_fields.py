@@ -380,12 +380,26 @@ def read_fields(
             raise entry.error("name", f'"{one.name}" is there twice')
         if one.name == COUNTER:
             entry.refuse(counter is not None, "name", '"counter" is there twice')
-            counter = _read_counter(entry, one)
+            full = 1 << one.carried_bits if one.carried_bits else None
+            modulus = entry.whole("modulus", full, lowest=2, highest=full)
+            first = entry.whole("first", 0, highest=None if full is None else full - modulus)
+            counter = CounterRule(modulus, entry.whole("per_frame", 1, lowest=1, highest=modulus - 1), first)
         if one.name == STATUS:
             status = _read_status(entry)
         entry.finish()
         fields.append(one)
-    _check_outputs(table, fields)
+    outputs = [one for one in fields if is_output(one.name)]
+    names = [one.name for one in outputs]
+    if not outputs:
+        raise table.error(
+            "fields", 'must hold one with name = "counts", the gyro\'s output (or counts_x, counts_y, counts_z)'
+        )
+    if COUNTS in names and len(names) > 1:
+        raise table.error(
+            "fields", "must name the outputs of several axes counts_x, counts_y, counts_z, none of them counts"
+        )
+    if len({one.unit for one in outputs}) > 1:
+        raise table.error("fields", "must give all outputs in the same unit")
     _check_bits(table, fields)
     _check_cycles(table, fields, counter)
     return tuple(fields), counter, status
@@ -425,7 +439,14 @@ def _read_place(entry: Description, name: str, binary: bool, order: ByteOrder) -
     size = entry.whole("bytes", lowest=1, highest=64 if name in (UNUSED, FIXED) else 10)
     one = Field(name, kind, size, order, data_bits=entry.whole("data_bits", 8, lowest=1, highest=8))
     if isinstance(entry.peek("byte_order"), list):
-        one = replace(one, order=_read_order(entry, size))
+        given = entry.take("byte_order")
+        if sorted(map(str, given)) != sorted(map(str, range(size))) or size > _LONGEST_ORDER:
+            raise entry.error(
+                "byte_order",
+                'must be "little", "big" or the significance of each byte as it is sent, such as [0, 2, 1], '
+                f"not {given!r}",
+            )
+        one = replace(one, order=tuple(int(one) for one in given))
     else:
         one = replace(one, byte_order=byte_order(entry, order))
     if kind == "float":
@@ -437,17 +458,6 @@ def _read_place(entry: Description, name: str, binary: bool, order: ByteOrder) -
     return replace(
         one, value_bits=entry.whole("value_bits", min(most, 64) if limited else most, lowest=1, highest=most)
     )
-
-
-def _read_order(entry: Description, size: int) -> tuple[int, ...]:
-    given = entry.take("byte_order")
-    if sorted(map(str, given)) != sorted(map(str, range(size))) or size > _LONGEST_ORDER:
-        raise entry.error(
-            "byte_order",
-            'must be "little", "big" or the significance of each byte as it is sent, such as [0, 2, 1], '
-            f"not {given!r}",
-        )
-    return tuple(int(one) for one in given)
 
 
 def _read_value(entry: Description, one: Field, binary: bool) -> Field:
@@ -504,28 +514,6 @@ def _read_status(entry: Description) -> StatusRule:
     rule = StatusRule(entry.whole("good_mask", 0), entry.whole("good_value", 0))
     entry.refuse(bool(rule.value & ~rule.mask), "good_value", "has bits that good_mask has not")
     return rule
-
-
-def _read_counter(entry: Description, one: Field) -> CounterRule:
-    full = 1 << one.carried_bits if one.carried_bits else None
-    modulus = entry.whole("modulus", full, lowest=2, highest=full)
-    first = entry.whole("first", 0, highest=None if full is None else full - modulus)
-    return CounterRule(modulus, entry.whole("per_frame", 1, lowest=1, highest=modulus - 1), first)
-
-
-def _check_outputs(table: Description, fields: list[Field]) -> None:
-    outputs = [one for one in fields if is_output(one.name)]
-    names = [one.name for one in outputs]
-    if not outputs:
-        raise table.error(
-            "fields", 'must hold one with name = "counts", the gyro\'s output (or counts_x, counts_y, counts_z)'
-        )
-    if COUNTS in names and len(names) > 1:
-        raise table.error(
-            "fields", "must name the outputs of several axes counts_x, counts_y, counts_z, none of them counts"
-        )
-    if len({one.unit for one in outputs}) > 1:
-        raise table.error("fields", "must give all outputs in the same unit")
 
 
 def _check_bits(table: Description, fields: list[Field]) -> None:

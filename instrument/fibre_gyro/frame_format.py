@@ -80,7 +80,14 @@ def read_message(template: str, *, binary: bool, byte_order: ByteOrder, where: s
         if name not in ("step", "checksum", "start") or name in parts or (rule and name != "step"):
             raise FrameFormatError(f"{where} holds {{{piece}}}; only one {{step}}, {{start}} and {{checksum}} may")
         if name == "step":
-            step_format = _step_format(rule, binary, where)
+            if binary:
+                if rule not in ("1", "2", "3", "4", "5", "6", "7", "8"):
+                    raise FrameFormatError(
+                        f"{where}: a number of bytes from 1 to 8 belongs behind step, as in {{step:4}}"
+                    )
+            elif not _TEXT_STEP.fullmatch(rule):
+                raise FrameFormatError(f"{where}: {{step:{rule}}} must be {{step}}, {{step:+}} or {{step:+08}}")
+            step_format = rule
         parts.append(name)
     kept = tuple(part for part in parts if part != b"")
     if not any(isinstance(part, bytes) for part in kept):
@@ -97,15 +104,6 @@ def _literal(piece: str, binary: bool, where: str) -> bytes:
         return bytes.fromhex(piece)
     except ValueError:
         raise FrameFormatError(f"{where} must be bytes in hex and places in braces, not {piece!r}") from None
-
-
-def _step_format(rule: str, binary: bool, where: str) -> str:
-    if binary:
-        if rule not in ("1", "2", "3", "4", "5", "6", "7", "8"):
-            raise FrameFormatError(f"{where}: a number of bytes from 1 to 8 belongs behind step, as in {{step:4}}")
-    elif not _TEXT_STEP.fullmatch(rule):
-        raise FrameFormatError(f"{where}: {{step:{rule}}} must be {{step}}, {{step:+}} or {{step:+08}}")
-    return rule
 
 
 def compose(message: Message, step: int, check: CheckRule | None) -> bytes:

@@ -127,7 +127,11 @@ class FrameStream:
         position, longest = 0, self._longest()
         while position < len(self._buffer):
             rest = self._buffer[position : position + longest]
-            answer = self._answer_at(rest) if self._answers else None
+            answer = (
+                next((answer for answer in self._answers if rest.startswith(answer)), None)
+                if self._answers
+                else None
+            )
             if answer is not None:
                 self._end_of_damage()
                 self._found.append(Answer(answer))
@@ -145,9 +149,6 @@ class FrameStream:
     def _longest(self) -> int:
         longest = max(self._length + len(self._header), *map(len, self._answers), 1)
         return longest + self._followers * self._length if self._confirm else longest
-
-    def _answer_at(self, rest: bytes | bytearray) -> bytes | None:
-        return next((answer for answer in self._answers if rest.startswith(answer)), None)
 
     def _may_begin(self, rest: bytearray) -> bool:
         """Whether these bytes may become an answer or a frame and are too few for it."""
@@ -208,7 +209,8 @@ class FrameStream:
             slot = behind[(place - 1) * length : place * length]
             if len(slot) < length:
                 return (whole > 0) if silent else None
-            whole += self._follows(frame, slot, place)
+            follower = self._frame_at(slot)
+            whole += follower is not None and self._counts(frame.counter, follower.counter, place)
             if whole >= needed:
                 return True
             if whole == 0 and place == _FOLLOWERS - 1:
@@ -228,17 +230,12 @@ class FrameStream:
             if (
                 follower is None
                 or not self._counts(before.counter, follower.counter, 1)
-                or self._leaps(before, follower)
+                or (self._course is not None and self._course.leap(before, follower))
             ):
                 self._reason = self._reason or "no whole frame behind it"
                 return False
             before = follower
         return True
-
-    def _follows(self, frame: Frame, slot: bytearray, place: int) -> bool:
-        """Whether a whole frame stands there, with the counter that it must have so many frames behind."""
-        follower = self._frame_at(slot)
-        return follower is not None and self._counts(frame.counter, follower.counter, place)
 
     def _counts(self, before: int | None, behind: int | None, frames: int) -> bool:
         """Whether a counter went on by so many frames; without one it always did."""
@@ -252,9 +249,6 @@ class FrameStream:
         if self._counter is None:
             return False
         return self._counts(self._counter, frame.counter, 1 + round(self._bad_bytes / self._length))
-
-    def _leaps(self, before: Frame, behind: Frame) -> bool:
-        return self._course is not None and self._course.leap(before, behind)
 
     def _in_course(self, frame: Frame, behind: bytearray, silent: bool) -> bool | None:
         """Refuse a frame whose output jumps and comes back, on a line that damages frames."""

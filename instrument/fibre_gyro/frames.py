@@ -81,7 +81,13 @@ class FrameReader:
             self._numbers, self._proofs = _compiled(layout)
             if self._counter_at is not None:
                 self._counter_number = self._numbers[self._counter_at]
-                self._counter_end = _end_of_counter(layout)
+                bits, behind = 8 * len(layout.header), False
+                for entry in layout.fields:
+                    if behind and bits % 8 == 0:
+                        break
+                    bits += entry.bits or 8 * entry.size
+                    behind = behind or entry.name == COUNTER
+                self._counter_end = bits // 8
 
     def read(self, data: bytes) -> Frame:
         """Read the bytes of one frame, in text without its line end."""
@@ -165,17 +171,6 @@ class FrameReader:
 
 def _is_number(entry: Field) -> bool:
     return entry.delivers or entry.name == COUNTER
-
-
-def _end_of_counter(layout: FrameFormat) -> int:
-    """Bytes of a frame up to the end of its counter, whole bytes of neighbouring bits included."""
-    bits, behind = 8 * len(layout.header), False
-    for entry in layout.fields:
-        if behind and bits % 8 == 0:
-            break
-        bits += entry.bits or 8 * entry.size
-        behind = behind or entry.name == COUNTER
-    return bits // 8
 
 
 class _Turns:
@@ -380,7 +375,9 @@ def _doubt(entry: Field, values: NDArray[np.float64]) -> str:
         return _strange_float(entry, (values - entry.offset) / entry.scale)
     if entry.bits or entry.carried_bits > 52 or entry.carried_bits < 16:
         return ""
-    sent = _as_sent(entry, values)
+    whole = np.round((values - entry.offset) / entry.scale).astype(np.int64) & ((1 << entry.carried_bits) - 1)
+    shifts = entry.data_bits * np.array(entry.significance, dtype=np.int64)
+    sent = np.asarray(whole[:, None] >> shifts & ((1 << entry.data_bits) - 1), dtype=np.uint8)
     return _seven_bits(entry, sent) or _other_reading(entry, sent)
 
 
@@ -392,13 +389,6 @@ def _strange_float(entry: Field, values: NDArray[np.float64]) -> str:
         f"{entry.name}: its floats are of every size from {sizes.min():.0e} to {sizes.max():.0e}; is it a float, "
         "in this byte order?"
     )
-
-
-def _as_sent(entry: Field, values: NDArray[np.float64]) -> Bytes:
-    """The bytes of a whole number as they came, one row for each frame."""
-    whole = np.round((values - entry.offset) / entry.scale).astype(np.int64) & ((1 << entry.carried_bits) - 1)
-    shifts = entry.data_bits * np.array(entry.significance, dtype=np.int64)
-    return np.asarray(whole[:, None] >> shifts & ((1 << entry.data_bits) - 1), dtype=np.uint8)
 
 
 def _seven_bits(entry: Field, sent: Bytes) -> str:

@@ -70,7 +70,10 @@ def _lines(data: bytes) -> Structure:
     split = None if separator == b" " else separator
     fields = [len(line.split(split)) for line in lines]
     usual = max(set(fields), key=fields.count)
-    begins = lines[0][: _common(lines)]
+    first = lines[0]
+    begins = lines[0][
+        : next((n for n in range(len(first)) if any(line[n : n + 1] != first[n : n + 1] for line in lines)), 0)
+    ]
     share = f"{100 * fields.count(usual) / len(fields):.0f} %"
     said = [f"lines of text that end with {ending.decode()!r}"]
     if usual > 1:
@@ -79,11 +82,6 @@ def _lines(data: bytes) -> Structure:
         said.append(f"every line begins with {begins.decode('ascii', 'replace')!r}")
     length = int(np.median([len(line) + len(ending) for line in lines]))
     return Structure(text=True, length=length, remarks=tuple(said), example=lines[len(lines) // 2])
-
-
-def _common(lines: list[bytes]) -> int:
-    first = lines[0]
-    return next((n for n in range(len(first)) if any(line[n : n + 1] != first[n : n + 1] for line in lines)), 0)
 
 
 def _frame_length(values: Bytes) -> int:

@@ -123,7 +123,10 @@ class RecordBuilder:
                 self._behind = events[number:], host_s
                 return
             if isinstance(event, Damage):
-                self._take_damage(event)
+                self._damaged_before += event.frames
+                if self._in_window():
+                    self._damaged += event.frames
+                    self._reasons[event.reason] += event.frames
             elif isinstance(event, Frame):
                 self._take_frame(event, host_s, polled)
         if self._paced and self._exact and self.index > before:
@@ -192,12 +195,6 @@ class RecordBuilder:
 
     def _in_window(self) -> bool:
         return self.index >= self._skip - 1
-
-    def _take_damage(self, damage: Damage) -> None:
-        self._damaged_before += damage.frames
-        if self._in_window():
-            self._damaged += damage.frames
-            self._reasons[damage.reason] += damage.frames
 
     def _take_frame(self, frame: Frame, host_s: float, polled: int | None) -> None:
         tick: Tick | None

@@ -139,7 +139,17 @@ class ScopeState(ABC):
         if name in self.references:
             return self.references[name]
         if name == "MATH":
-            return self._math_trace()
+            expression = self.panel.text("MATH:DEFINE")
+            sources = [self._channel_trace(name) for name in operands(expression)]
+            if "*" in expression:
+                vertical = "MATH:VERTICAL"
+                scale, position = self.panel.number(f"{vertical}:SCALE"), self.panel.number(f"{vertical}:POSITION")
+                return multiply(sources[0], sources[1], scale, position)
+            if len(sources) == 2:
+                return combine(expression, *sources)
+            zoom = self.panel.number("MATH:FFT:VERTICAL:SCALE")
+            position = self.panel.number("MATH:FFT:VERTICAL:POSITION")
+            return spectrum(expression, sources[0], zoom, position, self.panel.number("MATH:FFT:HORIZONTAL:SCALE"))
         return self._channel_trace(name)
 
     def _channel_trace(self, name: str) -> Trace:
@@ -147,19 +157,6 @@ class ScopeState(ABC):
         channel = record.channels.get(name, self.panel.channel(name))
         codes = self.digitizer.codes(record, name)
         return channel_trace(record, name, codes, channel, self._unit(name))
-
-    def _math_trace(self) -> Trace:
-        expression = self.panel.text("MATH:DEFINE")
-        sources = [self._channel_trace(name) for name in operands(expression)]
-        if "*" in expression:
-            vertical = "MATH:VERTICAL"
-            scale, position = self.panel.number(f"{vertical}:SCALE"), self.panel.number(f"{vertical}:POSITION")
-            return multiply(sources[0], sources[1], scale, position)
-        if len(sources) == 2:
-            return combine(expression, *sources)
-        zoom = self.panel.number("MATH:FFT:VERTICAL:SCALE")
-        position = self.panel.number("MATH:FFT:VERTICAL:POSITION")
-        return spectrum(expression, sources[0], zoom, position, self.panel.number("MATH:FFT:HORIZONTAL:SCALE"))
 
     def screen_traces(self) -> dict[str, Trace]:
         """What the screen shows; of a spectrum only the part that is zoomed in."""

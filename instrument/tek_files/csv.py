@@ -50,7 +50,17 @@ def parse_cells(rows: list[list[str]]) -> tuple[Waveform, dict[str, str]]:
     yzero = header_number(header, "Yzero", 0.0)
     # Adding 0.0 turns the -0 of a scan record into 0.
     xzero = -header_number(header, "Trigger Point", -times[0] / interval) * interval + 0.0
-    _check_times(times, xzero, interval)
+    # Times have twelve decimals, and spreadsheets keep about five digits.
+    slack = 0.5 * interval + 2e-12 + 1e-5 * np.abs(times).max()
+    steps_off = np.abs(np.diff(times) - interval) > 0.5 * interval + 2e-12 + 1e-5 * np.abs(times[1:])
+    wrong = np.flatnonzero(steps_off)
+    if wrong.size:
+        raise FileFormatError(
+            f"the time does not go on evenly after point {wrong[0] + 1}: rows are missing or doubled; "
+            "restore the file"
+        )
+    if abs(times[0] - xzero) > slack:
+        raise FileFormatError("the time column does not begin where 'Trigger Point' says; restore the file")
     y_unit = header.get("Vertical Units", "V")
     preamble = Preamble(
         byt_nr=1,
@@ -125,21 +135,6 @@ def _codes(values: NDArray[np.float64], preamble: Preamble) -> NDArray[np.int8]:
             "or comes from another kind of scope"
         )
     return codes.astype(np.int8)
-
-
-def _check_times(times: NDArray[np.float64], xzero: float, interval: float) -> None:
-    """The time column must run evenly: a missing or doubled row would shift everything behind it."""
-    # Times have twelve decimals, and spreadsheets keep about five digits.
-    slack = 0.5 * interval + 2e-12 + 1e-5 * np.abs(times).max()
-    steps_off = np.abs(np.diff(times) - interval) > 0.5 * interval + 2e-12 + 1e-5 * np.abs(times[1:])
-    wrong = np.flatnonzero(steps_off)
-    if wrong.size:
-        raise FileFormatError(
-            f"the time does not go on evenly after point {wrong[0] + 1}: rows are missing or doubled; "
-            "restore the file"
-        )
-    if abs(times[0] - xzero) > slack:
-        raise FileFormatError("the time column does not begin where 'Trigger Point' says; restore the file")
 
 
 def _wfid(header: dict[str, str], scale: float, y_unit: str, x_unit: str, points: int) -> str:

@@ -177,7 +177,12 @@ def _steps(
         limits = tuple(_limits(reading, place, step, kind, campaign))
         if settings is None:
             continue
-        _check_conditions(reading, place, step, settings)
+        controllers = controllers_of(settings.model_dump())
+        for name in step.conditions.model_dump(exclude_none=True):
+            controller, _ = CONTROLLER_OF[name]
+            if controller not in controllers.there:
+                text = f"there is no [bench.controllers.{controller}] to bring it about"
+                reading.tell(("step", str(place), "conditions", name), text)
         for repeat in range(1, step.repeat + 1):
             values = settings.model_dump(mode="json")
             _seed(values, unit, place, repeat)
@@ -227,16 +232,6 @@ def _settings(
         reading.wrong.append(f"step {step.name!r}: {str(error).removeprefix(f'{reading.path}: ')}")
         return None
     return checked
-
-
-def _check_conditions(reading: _FileReading, place: int, step: StepSection, settings: BaseModel) -> None:
-    """A condition needs the controller that brings it about."""
-    controllers = controllers_of(settings.model_dump())
-    for name in step.conditions.model_dump(exclude_none=True):
-        controller, _ = CONTROLLER_OF[name]
-        if controller not in controllers.there:
-            text = f"there is no [bench.controllers.{controller}] to bring it about"
-            reading.tell(("step", str(place), "conditions", name), text)
 
 
 def _tell_mistake(

@@ -222,7 +222,11 @@ class Journal:
         if not lock(self._descriptor):
             self.close()
             raise UsageError(f"{self.directory}: another program carries this test out at the moment")
-        self._end_cut_line()
+        size = os.lseek(self._descriptor, 0, os.SEEK_END)
+        if size:
+            os.lseek(self._descriptor, size - 1, os.SEEK_SET)
+            if os.read(self._descriptor, 1) != b"\n":
+                os.write(self._descriptor, b"\n")
 
     def write(self, kind: str, **facts: object) -> None:
         """Write what has happened; when this returns, it is on the disk. CannotWrite if that takes no more."""
@@ -239,14 +243,6 @@ class Journal:
         if self._descriptor >= 0:
             os.close(self._descriptor)
             self._descriptor = -1
-
-    def _end_cut_line(self) -> None:
-        """Let a line that was cut by a power failure end, so that the next one is a line of its own."""
-        size = os.lseek(self._descriptor, 0, os.SEEK_END)
-        if size:
-            os.lseek(self._descriptor, size - 1, os.SEEK_SET)
-            if os.read(self._descriptor, 1) != b"\n":
-                os.write(self._descriptor, b"\n")
 
 
 def folder_of(directory: Path, unit: str) -> Path:

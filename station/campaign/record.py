@@ -88,6 +88,7 @@ def record_document(outcome: CampaignOutcome, evaluated: Mapping[str, Evaluated]
     seen: Mapping[str, Any] = next(
         (found for one in outcome.steps if (found := one.document.get("instrument"))), {}
     )
+    begun = {one.step.key for one in outcome.steps}
     document = {
         "schema": {"name": NAME, "version": VERSION},
         "unit": {"serial": plan.unit, "type": plan.unit_type, "is_reference": plan.is_reference},
@@ -117,7 +118,11 @@ def record_document(outcome: CampaignOutcome, evaluated: Mapping[str, Evaluated]
         ],
         "software": provenance(),
         "steps": [_step(one, outcome.directory, evaluated.get(one.step.key)) for one in outcome.steps],
-        "not_begun": _not_begun(outcome),
+        "not_begun": [
+            {"key": step.key, "name": step.name, "number": step.number, "measurement": step.measurement}
+            for step in outcome.plan.steps
+            if step.key not in begun
+        ],
     }
     whole: dict[str, Any] = dict(plain(document))
     return {**whole, CONTENT: content_sha256(whole)}
@@ -139,15 +144,6 @@ def _instrument(card: InstrumentCard, at: str, seen: Mapping[str, Any]) -> dict[
 
 def _day(day: date | None) -> str | None:
     return None if day is None else day.isoformat()
-
-
-def _not_begun(outcome: CampaignOutcome) -> list[dict[str, Any]]:
-    begun = {one.step.key for one in outcome.steps}
-    return [
-        {"key": step.key, "name": step.name, "number": step.number, "measurement": step.measurement}
-        for step in outcome.plan.steps
-        if step.key not in begun
-    ]
 
 
 def _step(outcome: StepOutcome, directory: Path, evaluated: Evaluated | None) -> dict[str, Any]:

@@ -56,7 +56,12 @@ def read_record(path: Path) -> tuple[Path, dict[str, Any]]:
 def verify(path: Path) -> list[RecordCheck]:
     """Look at a record and at its runs."""
     file, record = read_record(path)
-    found = [_content(record)]
+    try:
+        same = content_sha256(record) == record.get(CONTENT)
+    except ValueError:
+        same = False
+    said = "its content is what was written" if same else "its content was changed after it was written"
+    found = [RecordCheck("record", same, said)]
     try:
         for step in record["steps"]:
             found += _step(step, file.parent)
@@ -66,15 +71,6 @@ def verify(path: Path) -> list[RecordCheck]:
             RecordCheck("record", False, f"it is not laid out as a record is ({type(error).__name__}: {error})")
         )
     return found
-
-
-def _content(record: Mapping[str, Any]) -> RecordCheck:
-    try:
-        same = content_sha256(record) == record.get(CONTENT)
-    except ValueError:
-        same = False
-    said = "its content is what was written" if same else "its content was changed after it was written"
-    return RecordCheck("record", same, said)
 
 
 def _step(step: Mapping[str, Any], folder: Path) -> Iterator[RecordCheck]:

@@ -123,8 +123,10 @@ def _pack(bundle: Path, settings: Settings, checks: list[Check], said: Path) -> 
 
 def examine(settings: Settings, resource: str | None = None) -> list[Check]:
     """Examine this installation, and one instrument if it is named."""
+    good = sys.version_info >= (3, 11)
+    text = f"{platform.python_version()} on {platform.platform(terse=True)}"
     checks = [
-        _python(),
+        Check("Python", "ok" if good else "bad", text if good else f"{text}: 3.11 or newer is needed"),
         _packages(),
         _settings_files(),
         _visa(),
@@ -137,12 +139,6 @@ def examine(settings: Settings, resource: str | None = None) -> list[Check]:
     if resource:
         checks.append(guarded("resource", lambda: _resource(resource, settings)))
     return checks
-
-
-def _python() -> Check:
-    good = sys.version_info >= (3, 11)
-    text = f"{platform.python_version()} on {platform.platform(terse=True)}"
-    return Check("Python", "ok" if good else "bad", text if good else f"{text}: 3.11 or newer is needed")
 
 
 def _packages() -> Check:

@@ -67,7 +67,18 @@ def command(file: Path, **given: Any) -> int:
 
         plan = replace(plan, directory=given["out"])
     if given["dry_run"]:
-        return _dry_run(plan, given["as_json"])
+        as_json = given["as_json"]
+        from station.campaign.messages import dry_run_document, print_dry_run
+        from station.plan import predict
+
+        predictions = [predict(step.measurement, step.settings) for step in plan.steps]
+        times = [one.seconds for one in predictions]
+        halves = [(one.u, one.u95, one.why_not) for one in predictions]
+        if as_json:
+            print_json(dry_run_document(plan, times, halves))
+        else:
+            print_dry_run(plan, times, halves)
+        return EXIT_OK
     return _test(plan, given)
 
 
@@ -112,20 +123,6 @@ def _checked(file: Path, plans: list[CampaignPlan], as_json: bool) -> int:
     else:
         limits = sum(len(step.limits) for step in steps)
         say(f"{file}: {len(steps)} steps, {limits} limits, all well for {', '.join(named)}")
-    return EXIT_OK
-
-
-def _dry_run(plan: CampaignPlan, as_json: bool) -> int:
-    from station.campaign.messages import dry_run_document, print_dry_run
-    from station.plan import predict
-
-    predictions = [predict(step.measurement, step.settings) for step in plan.steps]
-    times = [one.seconds for one in predictions]
-    halves = [(one.u, one.u95, one.why_not) for one in predictions]
-    if as_json:
-        print_json(dry_run_document(plan, times, halves))
-    else:
-        print_dry_run(plan, times, halves)
     return EXIT_OK
 
 

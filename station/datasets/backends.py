@@ -597,7 +597,11 @@ class ParquetTable:
             least, most = self._numbers[group]
             if below < above and (numbers is None or (least < numbers.stop and most >= numbers.start)):
                 with self._said():
-                    table = self._row_group(group)
+                    if group not in self._kept:
+                        with _opened(self.place) as file:
+                            read = [*_READ, *self._outputs]
+                            self._kept = {group: file.read_row_group(group, columns=read, use_threads=False)}
+                    table = self._kept[group]
                     columns = [table.column(name).slice(below, above - below).to_pylist() for name in _READ]
                     outputs = _outputs_of(table.slice(below, above - below), self._outputs)
                 for place, (*cells, codes, payload) in enumerate(zip(*columns, strict=True)):
@@ -611,14 +615,6 @@ class ParquetTable:
         """What another process needs to read the same file, wherever it runs."""
         place = self.place if is_url(self.place) else os.path.abspath(self.place)
         return {**vars(self), "place": place, "_kept": {}}
-
-    def _row_group(self, group: int) -> Any:
-        """One row group; small sources one behind the other share it."""
-        if group not in self._kept:
-            with _opened(self.place) as file:
-                read = [*_READ, *self._outputs]
-                self._kept = {group: file.read_row_group(group, columns=read, use_threads=False)}
-        return self._kept[group]
 
     @contextmanager
     def _said(self) -> Iterator[None]:

@@ -150,7 +150,9 @@ def _read(taken: Sequence[SavedRecord], waveforms: Sequence[Waveform], settings:
         whole = (fit.beat_frequency * intervals[rows] * sizes[rows] >= 1) & ((fit.flags & int(FATAL)) == 0)
         beat[rows], beat_u[rows] = np.where(whole, (fit.beat_frequency, fit.beat_frequency_u), math.nan)
     table_rate = np.array([float(one.conditions["table_rate_dps"]) for one in taken])
-    azimuth = _azimuths(taken)
+    ends = [(one.conditions.get("azimuth_start_deg"), one.conditions.get("azimuth_end_deg")) for one in taken]
+    known = [(math.nan, math.nan) if None in pair else pair for pair in ends]
+    azimuth = np.asarray(np.mean(np.array(known, dtype=np.float64), axis=-1))
     return SweepRecords(
         direction=tuple(str(one.conditions["direction"]) for one in taken),
         table_rate=table_rate,
@@ -185,13 +187,6 @@ def _rate_on_axis(table_rate: Array, azimuth: Array, settings: DeadBandSettings)
     tilt, latitude = settings.table.tilt_deg, settings.site.latitude_deg
     horizontal = earth_rate_on_axis(latitude, tilt, azimuth) - earth_rate_on_axis(latitude, tilt, 90.0)
     return np.asarray(table_rate * math.cos(math.radians(tilt)) + np.where(np.isnan(azimuth), 0.0, horizontal))
-
-
-def _azimuths(taken: Sequence[SavedRecord]) -> Array:
-    """Azimuth in the middle of each record, deg; nan where it is not known."""
-    ends = [(one.conditions.get("azimuth_start_deg"), one.conditions.get("azimuth_end_deg")) for one in taken]
-    known = [(math.nan, math.nan) if None in pair else pair for pair in ends]
-    return np.asarray(np.mean(np.array(known, dtype=np.float64), axis=-1))
 
 
 def _dead_band(records: SweepRecords, scale_factor: float, rate_u: float) -> DeadBand:
@@ -525,10 +520,19 @@ def sections(
     found: DeadBandEvaluation, run: SavedRun, settings: DeadBandSettings, result: Result
 ) -> list[Section]:
     """Return the sections of the report."""
+    rows = []
+    for name, value, half in zip(
+        ("positive, beat begins", "positive, beat ends", "negative, beat begins", "negative, beat ends"),
+        (*found.band.edges[0], *-found.band.edges[1]),
+        found.band.edge_half_widths.ravel(),
+        strict=True,
+    ):
+        if math.isfinite(value):
+            rows.append((name, f"{value:+.6f}", f"± {half:.2g}"))
     return [
         Section("What this result shows, and what it cannot", sentences=result.sentences),
         Section("Beat against rate", figures=(PlacedFigure(sweep_svg(found), _CAPTION),)),
-        Section("Edges", table=_edges_table(found)),
+        Section("Edges", table=TextTable(("edge", "rate, deg/s", "half of the step, deg/s"), tuple(rows))),
         Section("Rates", table=_rates_table(found)),
     ]
 
@@ -588,19 +592,6 @@ def draw_sweep(found: DeadBandEvaluation, figure: Figure) -> None:
         )
     axes.set(xlabel="rate on the axis, without the vertical earth rate, deg/s", ylabel="beat frequency, Hz")
     legend_above(axes, columns=5)
-
-
-def _edges_table(found: DeadBandEvaluation) -> TextTable:
-    rows = []
-    for name, value, half in zip(
-        ("positive, beat begins", "positive, beat ends", "negative, beat begins", "negative, beat ends"),
-        (*found.band.edges[0], *-found.band.edges[1]),
-        found.band.edge_half_widths.ravel(),
-        strict=True,
-    ):
-        if math.isfinite(value):
-            rows.append((name, f"{value:+.6f}", f"± {half:.2g}"))
-    return TextTable(("edge", "rate, deg/s", "half of the step, deg/s"), tuple(rows))
 
 
 def _rates_table(found: DeadBandEvaluation) -> TextTable:

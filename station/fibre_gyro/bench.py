@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.fibre_gyro import ClosedLoop, FibreCoil, LoopDesign, OutputBlock, OutputModel
+from analysis.fibre_gyro import ClosedLoop, LoopDesign, OutputBlock, OutputModel
 from analysis.rotation import EARTH_RATE_DPS
 from instrument import InstrumentError, ManualRateTable, RateTable
 from instrument.fibre_gyro import FibreGyroLink, Losses, Recording
@@ -217,7 +217,11 @@ class SimulatedFogBench:
     def _output(self, planned: PlannedSegment, count: int, period: float, *, held: bool) -> OutputBlock:
         """Run the gyro; one output more than is kept, the first holds the settling of the loop."""
         rng = self._random(planned.key)
-        coil = self._coil(planned, rng)
+        simulation, conditions = self._settings.simulation, planned.conditions
+        change = simulation.scale_change_ppm
+        if (run := conditions.get("run")) is not None:
+            change += float(self._random(f"switch-on {run}").normal(0, simulation.switch_on_scatter_ppm))
+        coil = self._settings.coil.scaled(1 + change / _PPM)
         loop = loop_settings(self._settings)
         seed = int(rng.integers(2**31))
         gyro: ClosedLoop | OutputModel
@@ -232,14 +236,6 @@ class SimulatedFogBench:
 
     def _random(self, key: str) -> np.random.Generator:
         return np.random.default_rng([self._settings.simulation.seed, zlib.crc32(key.encode())])
-
-    def _coil(self, planned: PlannedSegment, rng: np.random.Generator) -> FibreCoil:
-        """The coil of one segment: drifted, warm, and with its own scatter at every switch-on."""
-        simulation, conditions = self._settings.simulation, planned.conditions
-        change = simulation.scale_change_ppm
-        if (run := conditions.get("run")) is not None:
-            change += float(self._random(f"switch-on {run}").normal(0, simulation.switch_on_scatter_ppm))
-        return self._settings.coil.scaled(1 + change / _PPM)
 
     def _rates(self, planned: PlannedSegment, count: int, period: float, rng: np.random.Generator) -> Floats:
         """Rate on the gyro's axis in each output period, deg/s, as the gyro's nonlinearity changes it."""

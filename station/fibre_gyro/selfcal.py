@@ -668,6 +668,12 @@ def _to_watch(found: SelfcalEvaluation, settings: FogSettings) -> list[str]:
 
 def sections(found: SelfcalEvaluation, run: SavedRun, settings: FogSettings, result: Result) -> list[Section]:
     """Return the sections of the report."""
+    rows = tuple(
+        (f"{rate:+.10g} deg/s", f"{given:.6f}", with_uncertainty(float(out), float(u)), f"{out - given:+.3g}")
+        for rate, given, out, u in zip(
+            found.rate_dps, found.number, found.net.output, found.net.output_u, strict=True
+        )
+    )
     made = [
         Section("What this result shows, and what it cannot", sentences=result.sentences),
         Section(
@@ -678,7 +684,7 @@ def sections(found: SelfcalEvaluation, run: SavedRun, settings: FogSettings, res
                     _residuals_svg(found), "Net output less the injected number, and less the fitted line."
                 ),
             ),
-            table=_step_table(found),
+            table=TextTable(("stands for", "injected, counts", "net output, counts", "difference, counts"), rows),
         ),
         Section("Slope, intercept and static output", table=_slope_table(found)),
         Section("Budget", table=budget_table("K_self", result.document["budget"])),
@@ -687,16 +693,6 @@ def sections(found: SelfcalEvaluation, run: SavedRun, settings: FogSettings, res
     if found.table is not None and found.table.axes:
         made.append(Section("Rate-table run of the same run", table=axis_table(found.table, settings)))
     return made
-
-
-def _step_table(found: SelfcalEvaluation) -> TextTable:
-    rows = tuple(
-        (f"{rate:+.10g} deg/s", f"{given:.6f}", with_uncertainty(float(out), float(u)), f"{out - given:+.3g}")
-        for rate, given, out, u in zip(
-            found.rate_dps, found.number, found.net.output, found.net.output_u, strict=True
-        )
-    )
-    return TextTable(("stands for", "injected, counts", "net output, counts", "difference, counts"), rows)
 
 
 def _slope_table(found: SelfcalEvaluation) -> TextTable:

@@ -437,7 +437,17 @@ def result(found: TableEvaluation, run: SavedRun, settings: FogSettings) -> Resu
 
 
 def _tables(found: TableEvaluation) -> Iterator[TextTable]:
-    yield _axes_on_terminal(found)
+    lines = tuple(
+        (
+            one.axis,
+            with_uncertainty(one.fit.scale_factor, one.fit.scale_factor_u),
+            with_uncertainty(*one.fit.even_dph),
+            with_uncertainty(*one.bias_dph),
+            ppm(one.fit.scatter_ppm).lstrip("+"),
+        )
+        for one in found.axes
+    )
+    yield TextTable(("axis", f"K, {COUNTS_PER_DPS}", "even part, deg/h", "bias, deg/h", "scatter"), lines)
     if any(one.linearity is not None for one in found.axes):
         yield ladder_table(found.axes)
     if found.matrix is not None:
@@ -626,20 +636,6 @@ def _to_watch_of(one: AxisResult, settings: FogSettings) -> list[str]:
         )
     said += one.remarks
     return said
-
-
-def _axes_on_terminal(found: TableEvaluation) -> TextTable:
-    lines = tuple(
-        (
-            one.axis,
-            with_uncertainty(one.fit.scale_factor, one.fit.scale_factor_u),
-            with_uncertainty(*one.fit.even_dph),
-            with_uncertainty(*one.bias_dph),
-            ppm(one.fit.scatter_ppm).lstrip("+"),
-        )
-        for one in found.axes
-    )
-    return TextTable(("axis", f"K, {COUNTS_PER_DPS}", "even part, deg/h", "bias, deg/h", "scatter"), lines)
 
 
 # --------------------

@@ -172,7 +172,17 @@ def _one_axis(
     bias, scale = None, None
     # the earth rate at rest is seen through the scale factor, the scale factor through the bias
     for _ in range(_ROUNDS):
-        bias = _model(_bias_points(blocks, course, scale, settings), settings)
+        warm, rate = course.at(blocks.at_s)
+        k = settings.nominal_scale_factor * np.ones(warm.size)
+        if scale is not None:
+            k = k * (1 + scale.model.at(np.clip(warm, scale.model.lowest, scale.model.highest))[0] / PPM)
+        earth = blocks.end_up * vertical_earth_rate_dph(settings.site.latitude_deg)
+        bias = _model(
+            TemperaturePoints(
+                3600 * blocks.mean / k - earth, 3600 * blocks.mean_u / np.abs(k), blocks.at_s, warm, rate
+            ),
+            settings,
+        )
         scale = _model(_scale_points(turned, course, bias, settings), settings, with_rate=False)
     if bias is None:
         left_out.append(Excluded(f"bias of axis {axis}", _TOO_FEW.format("at rest")))
@@ -199,20 +209,6 @@ def _model(points: TemperaturePoints, settings: FogSettings, *, with_rate: bool 
     except ValueError:
         return None
     return Modelled(points, model)
-
-
-def _bias_points(
-    blocks: Blocks, course: TemperatureCourse, scale: Modelled | None, settings: FogSettings
-) -> TemperaturePoints:
-    """Bias of every block, deg/h: the output over the scale factor at its temperature, less the earth rate."""
-    warm, rate = course.at(blocks.at_s)
-    k = settings.nominal_scale_factor * np.ones(warm.size)
-    if scale is not None:
-        k = k * (1 + scale.model.at(np.clip(warm, scale.model.lowest, scale.model.highest))[0] / PPM)
-    earth = blocks.end_up * vertical_earth_rate_dph(settings.site.latitude_deg)
-    return TemperaturePoints(
-        3600 * blocks.mean / k - earth, 3600 * blocks.mean_u / np.abs(k), blocks.at_s, warm, rate
-    )
 
 
 def _scale_points(
@@ -724,18 +720,20 @@ def sections(found: TemperatureEvaluation, run: SavedRun, settings: FogSettings,
             figure = PlacedFigure(_residual_svg(one.bias, one.axis), caption)
             made.append(Section(f"Residuals of the bias, axis {one.axis}", figures=(figure,)))
         text = "Of measured temperatures only. `gyrolock fog constants` writes it as CSV and C header."
-        made.append(Section(f"Compensation table, axis {one.axis}", text, table=_compensation(one, settings)))
+        table = compensation_of(one, settings)
+        columns = (table.temperature, table.scale_factor, table.scale_factor_u, table.bias, table.bias_u)
+        rows = tuple(
+            (f"{warm:g}", with_uncertainty(float(k), float(k_u)), with_uncertainty(float(bias), float(bias_u)))
+            for warm, k, k_u, bias, bias_u in zip(*columns, strict=True)
+        )
+        made.append(
+            Section(
+                f"Compensation table, axis {one.axis}",
+                text,
+                table=TextTable(("°C", f"K, {COUNTS_PER_DPS}", "bias, deg/h"), rows),
+            )
+        )
     return made
-
-
-def _compensation(one: AxisTemperature, settings: FogSettings) -> TextTable:
-    table = compensation_of(one, settings)
-    columns = (table.temperature, table.scale_factor, table.scale_factor_u, table.bias, table.bias_u)
-    rows = tuple(
-        (f"{warm:g}", with_uncertainty(float(k), float(k_u)), with_uncertainty(float(bias), float(bias_u)))
-        for warm, k, k_u, bias, bias_u in zip(*columns, strict=True)
-    )
-    return TextTable(("°C", f"K, {COUNTS_PER_DPS}", "bias, deg/h"), rows)
 
 
 def _model_svg(modelled: Modelled, name: str, label: str) -> str:

@@ -48,7 +48,7 @@ from station.results.result import (
     with_uncertainty,
 )
 from station.runs.acquisition import Acquisition
-from station.runs.store import NewRecord, SavedRecord, SavedRun
+from station.runs.store import NewRecord, SavedRun
 from station.scope.autoset import KnobPositions, ScreenShape, fit_channel, oscilloscope_steps
 from station.scope.tools import open_scope, serve
 from station.settings import Finite, NotNegative
@@ -320,28 +320,25 @@ def evaluate(run: SavedRun, settings: FogSettings, choices: Mapping[str, Any]) -
     for saved in run.taken_for(PURPOSE):
         name = str(saved.conditions.get("file") or f"record {saved.number}")
         try:
-            records.append(_witnessed(name, saved, settings))
+            if not saved.intact:
+                raise ValueError("it is not what was once saved")
+            waveform = Waveform(saved.codes, Preamble.parse(saved.preamble))
+            preamble = waveform.preamble
+            if preamble.xunit.lower() != "s":
+                raise ValueError(
+                    f"it is a spectrum ({preamble.xunit}), not a record over time: save the channel itself"
+                )
+            if preamble.pt_fmt != "Y":
+                raise ValueError("it was taken in Peak Detect, which has no levels: use Sample mode")
+            if waveform.clipped:
+                raise ValueError("it is clipped: use more volts per division, or shift the position")
+            records.append(WitnessedRecord(name, waveform, *witnessed(waveform, settings.coil.transit_time)))
         except (ValueError, InstrumentError) as error:
             left_out.append(Excluded(name, str(error)))
     if not records:
         reasons = "; ".join(dict.fromkeys(one.reason for one in left_out)) or "there are no records"
         raise NoUsableSignal(f"no record shows the staircase of a modulator: {reasons}")
     return _found(tuple(records), tuple(left_out), settings, simulated=run.facts.simulated)
-
-
-def _witnessed(name: str, saved: SavedRecord, settings: FogSettings) -> WitnessedRecord:
-    """Evaluate one record; ValueError says why it cannot be used."""
-    if not saved.intact:
-        raise ValueError("it is not what was once saved")
-    waveform = Waveform(saved.codes, Preamble.parse(saved.preamble))
-    preamble = waveform.preamble
-    if preamble.xunit.lower() != "s":
-        raise ValueError(f"it is a spectrum ({preamble.xunit}), not a record over time: save the channel itself")
-    if preamble.pt_fmt != "Y":
-        raise ValueError("it was taken in Peak Detect, which has no levels: use Sample mode")
-    if waveform.clipped:
-        raise ValueError("it is clipped: use more volts per division, or shift the position")
-    return WitnessedRecord(name, waveform, *witnessed(waveform, settings.coil.transit_time))
 
 
 def witnessed(waveform: Waveform, transit_time: float) -> tuple[StaircaseWitness, bool]:

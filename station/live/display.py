@@ -153,7 +153,18 @@ def picture(situation: Situation, width: int, height: int) -> RenderableType:
         samples, fit = trace.get("samples") or [], trace.get("fit") or []
         unit, seconds = str(trace.get("unit") or ""), float(trace.get("seconds") or 0)
         curve = Group(*plot(samples, fit, across, down, unit=unit, seconds=seconds))
-        drawn = Panel(curve, title=_of_value(situation.value), title_align="left", border_style="dim")
+        said = [visible(str(situation.value.get("key")))]
+        said += [
+            f"{_NAMES.get(one['name'], one['name'])} {one['text']}".strip()
+            for one in situation.value.get("values", ())
+        ]
+        flags = ", ".join(situation.value.get("flags") or ())
+        drawn = Panel(
+            curve,
+            title=Text(" · ".join([*said, *([flags] if flags else [])]), style="yellow" if flags else ""),
+            title_align="left",
+            border_style="dim",
+        )
         groups = _groups(
             situation.groups, min(_GROUPS, max(room - 4, 3)) if wide else min(_GROUPS, max(room - down - 4, 3))
         )
@@ -202,13 +213,6 @@ def _steps(situation: Situation) -> Text:
         before = ("  " if place else "") + ("▸ " if state == "now" else "")
         text.append(f"{before}{visible(str(step['step']))}{said}", style=_STATES.get(state, "dim"))
     return text
-
-
-def _of_value(value: Mapping[str, Any]) -> Text:
-    said = [visible(str(value.get("key")))]
-    said += [f"{_NAMES.get(one['name'], one['name'])} {one['text']}".strip() for one in value.get("values", ())]
-    flags = ", ".join(value.get("flags") or ())
-    return Text(" · ".join([*said, *([flags] if flags else [])]), style="yellow" if flags else "")
 
 
 def _groups(groups: Mapping[str, Sequence[Mapping[str, Any]]], shown: int) -> Table | None:

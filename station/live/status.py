@@ -166,7 +166,11 @@ class StatusFile:
         self._path = (directory or state_directory()) / f"{platform.node() or 'here'}-{os.getpid()}{_STATUS}"
         with suppress(OSError):
             self._path.parent.mkdir(parents=True, exist_ok=True)
-            _forget_old(self._path.parent)
+            before = time.time() - _KEPT_DAYS * 86400
+            for path in self._path.parent.glob(f"*{_LOCK}"):
+                with suppress(OSError):
+                    if path.stat().st_mtime < before and not _is_held(path):
+                        _take_away(path)
             lock = self._path.with_suffix(_LOCK).open("ab")
             if lock_file(lock.fileno()):
                 self._lock = lock
@@ -271,12 +275,3 @@ def _take_away(path: Path) -> None:
     for suffix in (_STATUS, _STOP, _LOCK):
         with suppress(OSError):
             path.with_suffix(suffix).unlink(missing_ok=True)
-
-
-def _forget_old(directory: Path) -> None:
-    """Take away what programs left that were killed days ago."""
-    before = time.time() - _KEPT_DAYS * 86400
-    for path in directory.glob(f"*{_LOCK}"):
-        with suppress(OSError):
-            if path.stat().st_mtime < before and not _is_held(path):
-                _take_away(path)

@@ -223,7 +223,15 @@ class EstimatesOnDisk(LockInEstimate):
         else:
             rows = np.asarray(self._rows[key])
         if isinstance(key, slice) or rows.ndim == 0:
-            return self._in_memory(rows)
+            values: dict[str, Any] = {
+                field.name: getattr(self, field.name)
+                for field in fields(LockInEstimate)
+                if field.name not in ARRAYS
+            }
+            for name in ARRAYS:
+                found = self._columns.rows(name, rows.ravel())
+                values[name] = found.reshape((*rows.shape, *found.shape[1:]))
+            return LockInEstimate(**values)
         if rows.size == len(self) and self._rows is None and np.array_equal(rows, np.arange(len(self))):
             return self
         return EstimatesOnDisk.of(self._columns, self, rows)
@@ -250,15 +258,6 @@ class EstimatesOnDisk(LockInEstimate):
         made = EstimatesOnDisk.of(self._columns, self, self._rows)
         object.__setattr__(made, "noise_model", noise_model)
         return made
-
-    def _in_memory(self, rows: NDArray[np.intp]) -> LockInEstimate:
-        values: dict[str, Any] = {
-            field.name: getattr(self, field.name) for field in fields(LockInEstimate) if field.name not in ARRAYS
-        }
-        for name in ARRAYS:
-            found = self._columns.rows(name, rows.ravel())
-            values[name] = found.reshape((*rows.shape, *found.shape[1:]))
-        return LockInEstimate(**values)
 
 
 # --------------------

@@ -514,7 +514,10 @@ class Room:
             return
         codes = codes_of([payload for one in batch.waiting for payload in one.payloads], first.preamble)
         preambles = tuple(one.preamble for one in batch.waiting for _ in one.payloads)
-        estimate = estimate_batch(RecordBatch(codes, preambles), first.wanted.method, _kept_room(codes.shape))
+        room: NDArray[np.float64] | None = getattr(_OF_THREAD, "room", None)
+        if room is None or room.shape[1:] != codes.shape[1:] or len(room) < codes.shape[0]:
+            room = _OF_THREAD.room = np.empty(codes.shape)
+        estimate = estimate_batch(RecordBatch(codes, preambles), first.wanted.method, room)
         begin = 0
         for one in batch.waiting:
             count = len(one.payloads)
@@ -530,14 +533,6 @@ class NoRoom(Room):
 
 
 _OF_THREAD = threading.local()
-
-
-def _kept_room(shape: tuple[int, ...]) -> NDArray[np.float64]:
-    """Memory for volts that the batches of one thread use in turn: the system clears new one first, each time."""
-    room: NDArray[np.float64] | None = getattr(_OF_THREAD, "room", None)
-    if room is None or room.shape[1:] != shape[1:] or len(room) < shape[0]:
-        room = _OF_THREAD.room = np.empty(shape)
-    return room
 
 
 def give_back_room() -> None:

@@ -54,7 +54,14 @@ def evaluate_records(
     gathered = _read_pairs(source, chosen) if settings.scope.quadrature_channel else None
     paired = gathered is not None
     if gathered is None:
-        gathered = with_intact_seconds(_estimated(source, settings, chosen, workers, progress))
+        collected, pieces = Collected(run_knowledge(settings).response), pieces_of(source, chosen)
+        progress.start("thousands of records", len(pieces))
+        for (part,) in workers.map(estimate_pieces, pieces):
+            _refuse_unusable(part)
+            with errors_in_words():
+                collected.add(part)
+            progress.advance()
+        gathered = with_intact_seconds(collected.gathered())
     if not len(gathered):
         what = "only damaged records" if gathered.taken else "no record at the slow rate"
         raise RunError(f"{source.name}: the run holds {what}")
@@ -77,20 +84,6 @@ def evaluate_records(
         truth={name: fmean(values[rows]) for name, values in gathered.truth.items()} or None,
         without_beat=tuple(run.facts.get("rates_without_beat", ())),
     )
-
-
-def _estimated(
-    source: Source, settings: Settings, choices: Mapping[str, Any], workers: Workers, progress: Progress
-) -> Gathered:
-    """Estimates of all records of a run, piece by piece; RunError if it cannot be read."""
-    collected, pieces = Collected(run_knowledge(settings).response), pieces_of(source, choices)
-    progress.start("thousands of records", len(pieces))
-    for (part,) in workers.map(estimate_pieces, pieces):
-        _refuse_unusable(part)
-        with errors_in_words():
-            collected.add(part)
-        progress.advance()
-    return collected.gathered()
 
 
 def _read_pairs(source: Source, choices: Mapping[str, Any]) -> Gathered | None:

@@ -248,7 +248,11 @@ def line_svg(waveform: Waveform, order: int) -> str:
     height, height_u = float(np.abs(fit.amplitudes[order - 1])), float(fit.amplitudes_u[order - 1])
     duration = waveform.codes.size * waveform.sample_interval
     around = centre + np.linspace(-5, 5, 401) / duration
-    line = _amplitude_at(waveform, around)
+    volts = _without_gaps(waveform)
+    window = 0.5 - 0.5 * np.cos(2 * np.pi * (np.arange(volts.size) + 0.5) / volts.size)
+    times = np.arange(volts.size) * waveform.sample_interval
+    turning = np.exp(-2j * np.pi * np.outer(around, times))
+    line = np.asarray(2 * np.abs(turning @ (volts * window)) / window.sum())
     scale, unit = _frequency_unit(centre)
     milli = 1e3
 
@@ -322,15 +326,6 @@ def _windowed_spectrum(waveform: Waveform) -> tuple[Array, Array]:
     window = 0.35875 - 0.48829 * np.cos(phase) + 0.14128 * np.cos(2 * phase) - 0.01168 * np.cos(3 * phase)
     amplitudes = 2 * np.abs(np.fft.rfft(volts * window)) / window.sum()
     return np.asarray(amplitudes), np.asarray(np.fft.rfftfreq(volts.size, waveform.sample_interval), np.float64)
-
-
-def _amplitude_at(waveform: Waveform, frequencies: Array) -> Array:
-    """Amplitudes in V at any frequencies, Hann window."""
-    volts = _without_gaps(waveform)
-    window = 0.5 - 0.5 * np.cos(2 * np.pi * (np.arange(volts.size) + 0.5) / volts.size)
-    times = np.arange(volts.size) * waveform.sample_interval
-    turning = np.exp(-2j * np.pi * np.outer(frequencies, times))
-    return np.asarray(2 * np.abs(turning @ (volts * window)) / window.sum())
 
 
 def _without_gaps(waveform: Waveform) -> Array:

@@ -61,6 +61,9 @@ def result(found: LockInEvaluation, run: SavedRun | None = None, settings: Setti
         tables = (rates_table(found.several),)
     elif len(found.names) > 1:
         tables = (records_table(found, _RECORDS_SHOWN),)
+    said = [flag_sentence(found, name) for name in found.flags if name not in _ANSWERED | _failing(found)]
+    if found.budget is not None and (doubt := doubt_sentence(found.budget)):
+        said.append(doubt)
     return Result(
         name="lock-in rate",
         value=" = ".join(lock_in_words(found)) if found.usable else "none",
@@ -81,7 +84,7 @@ def result(found: LockInEvaluation, run: SavedRun | None = None, settings: Setti
         tables=tables,
         problem="" if found.usable else no_result_words(found),
         truth=f"the truth is {found.truth[LOCK_IN_RATE.key()]:.6g} deg/s" if found.truth is not None else "",
-        doubts=tuple(_doubts(found)),
+        doubts=tuple(said),
         failures=(*failures, truth_sentence(found)) if truth_is_missed(found) else failures,
     )
 
@@ -114,14 +117,6 @@ def _failing(found: LockInEvaluation) -> set[str]:
     """The same, but for a difference that lies within what the budget counts: that is a doubt."""
     explained = found.table_check is not None and not found.table_check.unexplained
     return _FAILING - {"table_mismatch"} if explained else _FAILING
-
-
-def _doubts(found: LockInEvaluation) -> list[str]:
-    """What rules the result: a flag that the uncertainty does not answer, or something that nobody knows."""
-    said = [flag_sentence(found, name) for name in found.flags if name not in _ANSWERED | _failing(found)]
-    if found.budget is not None and (doubt := doubt_sentence(found.budget)):
-        said.append(doubt)
-    return said
 
 
 def _lines(found: LockInEvaluation) -> list[str]:
@@ -264,13 +259,6 @@ def records_table(found: LockInEvaluation, most: int) -> TextTable:
 
 def fact_tables(found: LockInEvaluation, run: SavedRun, settings: Settings) -> list[FactTable]:
     """Return conditions and secondary results as small tables."""
-    return [
-        FactTable("Result", _result_rows(found, run, settings)),
-        FactTable("Oscilloscope", _scope_rows(found, run, settings)),
-    ]
-
-
-def _result_rows(found: LockInEvaluation, run: SavedRun, settings: Settings) -> Rows:
     combined, rows = found.combined, list(_summary(found))
     if found.usable:
         rows += [
@@ -282,7 +270,10 @@ def _result_rows(found: LockInEvaluation, run: SavedRun, settings: Settings) -> 
     if found.table_check is not None:
         rows.append(("latitude", f"{settings.site.latitude_deg:g}°"))
     note = "standard (k = 1) in brackets, all uncertainties included; of single records and rates their noise"
-    return [*rows, ("uncertainty", note)]
+    return [
+        FactTable("Result", [*rows, ("uncertainty", note)]),
+        FactTable("Oscilloscope", _scope_rows(found, run, settings)),
+    ]
 
 
 def _scope_rows(found: LockInEvaluation, run: SavedRun, settings: Settings) -> Rows:

@@ -420,7 +420,17 @@ def analyze_file(source: Path | Source, config: Path | None, choices: Mapping[st
         return analyzed
     if (harmonics := harmonics_of(waveform)) is None:
         return analyzed
-    tables = (*analyzed.result.tables, _harmonics_table(harmonics))
+    first = harmonics[0][AMPLITUDE.key()]
+    rows = tuple(
+        (
+            f"{one['order']}",
+            with_prefix(one["frequency_hz"], "Hz"),
+            with_prefix(one[AMPLITUDE.key()], "V"),
+            f"{one['amplitude_v'] / first:.4f}" if first > 0 else "",
+        )
+        for one in harmonics
+    )
+    tables = (*analyzed.result.tables, TextTable(("harmonic", "frequency", "amplitude", "of the first"), rows))
     return replace(analyzed, harmonics=harmonics, result=replace(analyzed.result, tables=tables))
 
 
@@ -496,17 +506,3 @@ def harmonics_of(waveform: Waveform) -> list[dict[str, float]] | None:
         }
         for order, amplitude in enumerate(fit.amplitudes, start=1)
     ]
-
-
-def _harmonics_table(harmonics: list[dict[str, float]]) -> TextTable:
-    first = harmonics[0][AMPLITUDE.key()]
-    rows = tuple(
-        (
-            f"{one['order']}",
-            with_prefix(one["frequency_hz"], "Hz"),
-            with_prefix(one[AMPLITUDE.key()], "V"),
-            f"{one['amplitude_v'] / first:.4f}" if first > 0 else "",
-        )
-        for one in harmonics
-    )
-    return TextTable(("harmonic", "frequency", "amplitude", "of the first"), rows)

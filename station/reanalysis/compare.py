@@ -242,24 +242,19 @@ def compare(first: ComparedRecords, second: ComparedRecords) -> Comparison:
     if same or first.headline is None or second.headline is None:
         return Comparison(first, second, same, *only, differences)
     by_noise, *others = differences
-    headlines = _of_headlines(by_noise, first.headline, second.headline)
+    headlines = replace(
+        by_noise,
+        mean_first=first.headline.rate,
+        mean_first_u=first.headline.u,
+        mean_second=second.headline.rate,
+        mean_second_u=second.headline.u,
+        difference=second.headline.rate - first.headline.rate,
+        difference_u=math.hypot(first.headline.u, second.headline.u),
+    )
     # a mean over several rates is nobody's beat and nobody's ratio
     at_one_rate = first.headline.one_rate and second.headline.one_rate
     shown = (headlines, *others) if at_one_rate else (headlines,)
     return Comparison(first, second, same, *only, shown, by_noise)
-
-
-def _of_headlines(by_noise: Difference, a: Headline, b: Headline) -> Difference:
-    """The difference of two results, which knows more than noise."""
-    return replace(
-        by_noise,
-        mean_first=a.rate,
-        mean_first_u=a.u,
-        mean_second=b.rate,
-        mean_second_u=b.u,
-        difference=b.rate - a.rate,
-        difference_u=math.hypot(a.u, b.u),
-    )
 
 
 def _difference(

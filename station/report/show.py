@@ -80,7 +80,9 @@ def render_report(evaluated: Shown) -> str:
         sections = [*sections, Section("What to watch", sentences=result.to_watch)]
     remarks = _remarks(evaluated.run.path)
     if remarks.said:
-        sections = [_said_afterwards(remarks), *sections]
+        said = [f"{_time_of_day(one.at)}, {one.by}: {one.words}" if one.at else one.words for one in remarks.said]
+        lost = [f"{remarks.unreadable} lines of its remarks cannot be read."] if remarks.unreadable else []
+        sections = [Section("Said of it afterwards", sentences=(*said, *lost)), *sections]
     return render_page(
         "report.html.j2",
         title=", ".join(filter(None, (evaluated.heading, facts.started_at[:10]))),
@@ -112,13 +114,6 @@ def _remarks(run: Path) -> Remarks:
         return read_remarks(run)
     except RunError as error:
         return Remarks((Remark(at="", by="", note=str(error)),))
-
-
-def _said_afterwards(remarks: Remarks) -> Section:
-    """Notes, tags and marks: who, and when. The measurement itself is what it was."""
-    said = [f"{_time_of_day(one.at)}, {one.by}: {one.words}" if one.at else one.words for one in remarks.said]
-    lost = [f"{remarks.unreadable} lines of its remarks cannot be read."] if remarks.unreadable else []
-    return Section("Said of it afterwards", sentences=(*said, *lost))
 
 
 def _time_of_day(at: str) -> str:

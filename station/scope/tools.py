@@ -320,7 +320,11 @@ def write_grab(folder: Path, name: str, traces: Sequence[GrabbedTrace], picture:
     # there already is not written over: CannotWrite.
     files: dict[str, bytes] = {} if picture is None else {"png": picture}
     if traces:
-        files |= {"csv": _as_csv(traces), "npz": _as_numpy(traces)}
+        columns = [column for trace in traces for column in (trace.waveform.times, trace.waveform.volts)]
+        title = ",".join(f"{trace.channel}_time_s,{trace.channel}_volts" for trace in traces)
+        text = io.StringIO()
+        np.savetxt(text, np.column_stack(columns), fmt="%.9g", delimiter=",", header=title, comments="")
+        files |= {"csv": text.getvalue().encode(), "npz": _as_numpy(traces)}
     written = []
     for ending, content in files.items():
         path = folder / f"{name}.{ending}"
@@ -332,14 +336,6 @@ def write_grab(folder: Path, name: str, traces: Sequence[GrabbedTrace], picture:
             raise CannotWrite(f"{path} cannot be written: {error.strerror or error}") from None
         written.append(path)
     return written
-
-
-def _as_csv(traces: Sequence[GrabbedTrace]) -> bytes:
-    columns = [column for trace in traces for column in (trace.waveform.times, trace.waveform.volts)]
-    title = ",".join(f"{trace.channel}_time_s,{trace.channel}_volts" for trace in traces)
-    text = io.StringIO()
-    np.savetxt(text, np.column_stack(columns), fmt="%.9g", delimiter=",", header=title, comments="")
-    return text.getvalue().encode()
 
 
 def _as_numpy(traces: Sequence[GrabbedTrace]) -> bytes:

@@ -140,7 +140,14 @@ class OutputModel:
         resets += np.abs(falls)
         left = 1.0 - np.minimum(resets / drive.pairs, 0.9) if laws.gated else np.ones_like(needed)
         target = staircase + jump * seen / (2 * drive.pairs) - injected_on_main
-        noisy, state = _noisy(target, staircase - injected_on_main, laws, drive, left)
+        end = staircase - injected_on_main
+        # The step at the end is a low pass of the noise, of variance sigma^2 g/(2 - g), and holds part of its
+        # own noise; the rest is independent.
+        pairs, gain = drive.pairs * left, laws.gain
+        last = laws.step_noise * np.sqrt(gain / (2.0 - gain)) * drive.noise[..., 0]
+        regression = (2.0 - gain) / gain
+        rest = laws.step_noise * np.sqrt(np.maximum(pairs - regression, 0.0)) * drive.noise[..., 1]
+        noisy, state = target + (regression * last + rest) / pairs, end + last
         counts = -self._rounded(self._settled(noisy, state, drive.pairs * left), drive.pairs)
         nan = np.full(counts.shape, np.nan)
         return _Fields(counts, nan, nan, np.minimum(resets, drive.pairs))
@@ -262,14 +269,3 @@ def _laws(coil: FibreCoil, design: LoopDesign) -> _Laws:
         amplitude=float(amplitude),
         error_noise=float(error_noise),
     )
-
-
-def _noisy(mean: Floats, end: Floats, laws: _Laws, drive: _Drive, left: Floats) -> tuple[Floats, Floats]:
-    """Mean step with the noise of its pairs, and the step at the end of each output."""
-    # The step at the end is a low pass of the noise, of variance sigma^2 g/(2 - g), and holds part of the output's
-    # own noise; the rest is independent.
-    pairs, gain = drive.pairs * left, laws.gain
-    last = laws.step_noise * np.sqrt(gain / (2.0 - gain)) * drive.noise[..., 0]
-    regression = (2.0 - gain) / gain
-    rest = laws.step_noise * np.sqrt(np.maximum(pairs - regression, 0.0)) * drive.noise[..., 1]
-    return mean + (regression * last + rest) / pairs, end + last

@@ -307,10 +307,7 @@ class EdgeSearch:
         if not crossed[index]:
             return None
         index += first
-        return self._refine(float(times[max(index - 1, 0)]), float(times[index]))
-
-    def _refine(self, low: float, high: float) -> float:
-        return refine(self._above, low, high)
+        return refine(self._above, float(times[max(index - 1, 0)]), float(times[index]))
 
 
 def first_edges(search: EdgeSearch, ready: Floats, reach: float, step: float) -> Floats:

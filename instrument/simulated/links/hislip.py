@@ -300,7 +300,11 @@ class HislipClient:
                     MessageType.ASYNC_MAXIMUM_MESSAGE_SIZE_RESPONSE, 0, 0, _SIZE.pack(LARGEST_MESSAGE)
                 )
             case MessageType.ASYNC_DEVICE_CLEAR:
-                self._clear()
+                self._clearing = True
+                self._parts.clear()
+                self._waiting.clear()
+                self.exchange.clear()
+                self.exchange.unread = False
                 answer = HislipFrame(MessageType.ASYNC_DEVICE_CLEAR_ACKNOWLEDGE)
             case MessageType.ASYNC_STATUS_QUERY:
                 if frame.control & _DELIVERED:
@@ -322,14 +326,6 @@ class HislipClient:
             case _:
                 answer = mistake(Mistake.UNKNOWN_KIND)
         self.tell(answer, now, aside=True)
-
-    def _clear(self) -> None:
-        """Device clear: nothing that was under way counts, until the client says that its channel is empty."""
-        self._clearing = True
-        self._parts.clear()
-        self._waiting.clear()
-        self.exchange.clear()
-        self.exchange.unread = False
 
     def _lock(self, frame: HislipFrame, now: float) -> None:
         """Ask for a lock (the parameter is a time-out in ms), or give it back when what came before is done."""

@@ -268,24 +268,20 @@ class GpibAdapterServer(StreamServer):
         exchange = client.exchange
         exchange.let_time_pass()
         if client.reading_until:
-            self._read_on(port, client, now)
+            answer = client.exchange.take() if self._here(client) else None
+            if answer is not None:
+                end = len(answer) if client.last is None else answer.find(client.last) + 1 or len(answer)
+                eot = bytes([int(client.settings["eot_char"])]) if client.settings["eot_enable"] == "1" else b""
+                if end < len(answer):
+                    client.exchange.put_back(answer[end:])
+                    eot = b""
+                port.outgoing.put(answer[:end] + eot, now)
+                client.reading_until = 0.0
+            elif now >= client.reading_until:
+                client.reading_until = 0.0
         self._send(port, now)
         if exchange.closed:
             self._drop(port)
-
-    def _read_on(self, port: Port, client: _Client, now: float) -> None:
-        """Hand over what the instrument says, or give up."""
-        answer = client.exchange.take() if self._here(client) else None
-        if answer is not None:
-            end = len(answer) if client.last is None else answer.find(client.last) + 1 or len(answer)
-            eot = bytes([int(client.settings["eot_char"])]) if client.settings["eot_enable"] == "1" else b""
-            if end < len(answer):
-                client.exchange.put_back(answer[end:])
-                eot = b""
-            port.outgoing.put(answer[:end] + eot, now)
-            client.reading_until = 0.0
-        elif now >= client.reading_until:
-            client.reading_until = 0.0
 
     def _take_lines(self, port: Port, client: _Client, now: float) -> None:
         """Cut what came into lines at unshielded ends, and carry them out one by one."""

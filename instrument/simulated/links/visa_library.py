@@ -304,7 +304,8 @@ class SimulatedVisaLibrary(VisaLibraryBase):
             raise pyvisa.errors.InvalidSession
         if attribute == ResourceAttribute.asrl_avalaible_number:
             opened.exchange.pump()
-            _collect(opened)
+            while (answer := opened.exchange.take()) is not None:
+                opened.arrive(answer)
             return len(opened.received), self.handle_return_value(session, StatusCode.success)
         if attribute not in opened.attributes:
             default = getattr(attributes.AttributesByID.get(attribute), "default", attributes.NotAvailable)
@@ -374,12 +375,6 @@ def _attributes(name: str, parsed: rname.ResourceName, serial: bool) -> dict[int
         else 0,
         **({ResourceAttribute.asrl_end_in: SerialTermination.termination_char} if serial else {}),
     }
-
-
-def _collect(opened: _Session) -> None:
-    """Move the answers that have left a stream instrument into the receive buffer."""
-    while (answer := opened.exchange.take()) is not None:
-        opened.arrive(answer)
 
 
 def _read_stream(opened: _Session, count: int) -> tuple[bytes, StatusCode]:

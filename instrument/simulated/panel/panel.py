@@ -241,7 +241,17 @@ def store(panel: Panel, key: str, value: Value) -> None:
     elif key != "DISPLAY:INVERT":  # accepted and always OFF on this family
         panel.values[key] = value
     if head == "HORIZONTAL":
-        _settle_horizontal(panel, key)
+        main, delay = "HORIZONTAL:MAIN:SCALE", "HORIZONTAL:DELAY:SCALE"
+        if panel.number(delay) > panel.number(main):
+            source, target = (delay, main) if key == delay else (main, delay)
+            panel.values[target] = panel.values[source]
+        for branch in ("MAIN", "DELAY"):
+            scale = panel.number(f"HORIZONTAL:{branch}:SCALE")
+            latest = 20e-3 if scale <= 10e-9 else 50e-3 if scale <= 100e-6 else 50.0
+            where = f"HORIZONTAL:{branch}:POSITION"
+            step = scale / POINTS_PER_DIVISION
+            position = _bounded(panel.number(where), -4 * scale, latest)
+            panel.values[where] = float(f"{round(position / step) * step:.9e}")
     elif head == "TRIGGER":
         _settle_trigger(panel)
     elif head == "RS232" and leaf.endswith("FLAGGING") and value:
@@ -250,7 +260,9 @@ def store(panel: Panel, key: str, value: Value) -> None:
     elif key == "DISPLAY:FORMAT" and value == "XY":
         panel.values["CURSOR:FUNCTION"] = "OFF"
     elif head == "SELECT" and leaf.startswith("REF") and value and not old:
-        _limit_references(panel, leaf)
+        shown = [name for name in panel.model.reference_names if panel.flag(f"SELECT:{name}") and name != leaf]
+        for name in shown[:-1]:
+            panel.values[f"SELECT:{name}"] = 0
     elif key == "CURSOR:VBARS:UNITS" and value != old:
         for bar in ("CURSOR:VBARS:POSITION1", "CURSOR:VBARS:POSITION2"):
             place = panel.number(bar)
@@ -287,21 +299,6 @@ def _store_channel(panel: Panel, name: str, leaf: str, value: Value) -> None:
     _settle_trigger(panel)
 
 
-def _settle_horizontal(panel: Panel, key: str) -> None:
-    """Keep the window within the main time base and the positions on the sample grid."""
-    main, delay = "HORIZONTAL:MAIN:SCALE", "HORIZONTAL:DELAY:SCALE"
-    if panel.number(delay) > panel.number(main):
-        source, target = (delay, main) if key == delay else (main, delay)
-        panel.values[target] = panel.values[source]
-    for branch in ("MAIN", "DELAY"):
-        scale = panel.number(f"HORIZONTAL:{branch}:SCALE")
-        latest = 20e-3 if scale <= 10e-9 else 50e-3 if scale <= 100e-6 else 50.0
-        where = f"HORIZONTAL:{branch}:POSITION"
-        step = scale / POINTS_PER_DIVISION
-        position = _bounded(panel.number(where), -4 * scale, latest)
-        panel.values[where] = float(f"{round(position / step) * step:.9e}")
-
-
 def _settle_trigger(panel: Panel) -> None:
     source = panel.trigger_source
     level = panel.number("TRIGGER:MAIN:LEVEL")
@@ -313,13 +310,6 @@ def _settle_trigger(panel: Panel) -> None:
         high = EXTERNAL_LEVEL.get(source, 0.0)
         low = -high
     panel.values["TRIGGER:MAIN:LEVEL"] = float(f"{_bounded(level, low, high):.6e}")
-
-
-def _limit_references(panel: Panel, newest: str) -> None:
-    """Two references fit on the screen; a third turns off the first of the others (a guess)."""
-    shown = [name for name in panel.model.reference_names if panel.flag(f"SELECT:{name}") and name != newest]
-    for name in shown[:-1]:
-        panel.values[f"SELECT:{name}"] = 0
 
 
 def _settle_cursors(panel: Panel) -> None:

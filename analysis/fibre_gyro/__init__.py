@@ -20,8 +20,9 @@ from analysis.fibre_gyro.figures_of_merit import (
     scale_figures,
     temperature_coefficient_ppm,
 )
-from analysis.fibre_gyro.fixed_point import LONGEST_WORD, FixedPoint, round_to_words
 from analysis.fibre_gyro.injection import (
+    LONGEST_WORD,
+    FixedPoint,
     InjectionPlan,
     NetOutputs,
     ScaleComparison,
@@ -35,27 +36,33 @@ from analysis.fibre_gyro.injection import (
     predicted_difference_ppm,
     predicted_self_scale,
     predicted_table_scale,
+    round_to_words,
     scaled_numbers,
     static_level,
     steps_beyond_dac,
     superposed_numbers,
 )
-from analysis.fibre_gyro.input_axis import InputAxisTilt, ThreeAxes, fit_three_axes, input_axis_tilt
-from analysis.fibre_gyro.linearity import LADDER_TERMS, Linearity, scale_linearity
 from analysis.fibre_gyro.loop import ClosedLoop, Kernel, LoopDesign, LoopTrace, OutputBlock, OutputModel
 from analysis.fibre_gyro.loop.design import FibreCoil
 from analysis.fibre_gyro.rate_table import (
+    LADDER_TERMS,
     AxisFit,
+    InputAxisTilt,
+    Linearity,
     OddEven,
     RateDifferences,
     TableRuns,
+    ThreeAxes,
     bias_at_latitude,
     correlation_with_numbers,
     fit_axis,
+    fit_three_axes,
     horizontal_earth_rate_dps,
+    input_axis_tilt,
     missing_senses,
     odd_even_parts,
     rate_differences,
+    scale_linearity,
     table_runs,
     vertical_earth_rate_dph,
 )

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from analysis.arrays import Floats, Ints
-from analysis.fibre_gyro.scatter import find_run_scatter
+from analysis.fibre_gyro.scatter import RunScatter, find_run_scatter, signal_interval
 from analysis.rotation import EARTH_RATE_DPS
 
 _EARTH_RATE_DPH = 3600.0 * EARTH_RATE_DPS
@@ -412,3 +412,281 @@ def with_drift(design: Floats, at_s: Floats) -> Floats:
     if not known or at_s.size - design.shape[1] - 1 < _FREEDOM_FOR_DRIFT:
         return design
     return np.column_stack([design, (at_s - at_s.mean()) / _HOUR])
+
+
+# --------------------
+# Scale-factor error over a ladder of rates: polynomial, asymmetry, and nonlinearity freed of noise.
+#
+# With w the rate along the axis, w_F the largest, x = w/w_F:
+#
+#     N = K w [ 1 + (s/2) sign(w) + c_1 x + c_2 x^2 + c_4 x^4 ] + constants
+#
+# s is the asymmetry K(+)/K(-) - 1; even powers bend the line alike in both senses, s and odd powers do not. A term
+# stands in the polynomial where it is more than three of its uncertainties. The nonlinearity is that of the curve
+# with all terms that the ladder can bear, at the rates of the runs, against its own straight line. What noise and
+# scatter from run to run add to its mean square is known and taken off; the interval begins at 0 where they may
+# make all of it.
+
+
+_SIGNIFICANT = 3.0
+_RANGE = 2.0  # largest rate of a ladder over its smallest
+_DRAWS = 4000
+LADDER_TERMS = ("asymmetry", "quadratic", "linear", "quartic")  # of the scale factor: s, c_2, c_1, c_4
+
+
+@dataclass(frozen=True)
+class Linearity:
+    """What a ladder of rates says of the scale factor; ppm of the scale factor or of full scale."""
+
+    chosen: tuple[str, ...]  # terms of the polynomial that the data ask for
+    # of each term that the ladder can bear: of one that was chosen in the polynomial, of another beside it. ppm of
+    # the scale factor at the largest rate.; with its uncertainty
+    value: dict[str, float]
+    value_u: dict[str, float]
+    # nonlinearity freed of noise: root mean square of the deviations from the line, ppm of the largest output
+    rms_ppm: float
+    rms_low_95_ppm: float
+    rms_high_95_ppm: float
+    # the largest deviation of the polynomial, and between which values that of the true curve is
+    largest_ppm: float
+    largest_low_95_ppm: float
+    largest_high_95_ppm: float
+    rate_dps: Floats  # (m,): signed rates along the axis
+    # (m,): scale-factor error of the polynomial at each rate, against its line; 0 where no term was chosen
+    error_ppm: Floats
+    error_u_ppm: Floats
+
+
+def scale_linearity(runs: TableRuns, *, irreproducibility_ppm: float | None = None) -> Linearity | None:
+    """Fit the scale-factor error over the rates of all runs; ``None`` where they are no ladder."""
+    # A ladder has three rates or more, the largest at least twice the smallest, and runs in both senses.
+    sizes = distinct_rates(np.abs(runs.nominal_dps))
+    if len(sizes) < 3 or sizes[-1] < _RANGE * sizes[0] or np.unique(np.sign(runs.rate_dps)).size < 2:
+        return None
+    stated = None if irreproducibility_ppm is None else irreproducibility_ppm / _PPM
+    rate = runs.end_up * runs.rate_dps
+    full = float(np.abs(rate).max())
+    terms = LADDER_TERMS[: 2 if len(sizes) < 5 else 4]
+    columns = _columns(rate, full)
+    plain = design_of(runs)
+
+    def scatter_with(names: tuple[str, ...]) -> tuple[Floats, RunScatter]:
+        design = with_drift(np.column_stack([plain, *(columns[name] for name in names)]), runs.at_s)
+        return design, find_run_scatter(
+            design, runs.mean, runs.mean_u, stated, slow=runs.slow, by_model=runs.slow is not None
+        )
+
+    def values_of(names: tuple[str, ...]) -> tuple[dict[str, tuple[float, float]], Floats, RunScatter]:
+        design, scatter = scatter_with(names)
+        estimator = scatter.estimator(design)
+        k = float(estimator[0] @ runs.mean)
+        rows = estimator[plain.shape[1] : plain.shape[1] + len(names)] / k
+        found = {
+            name: (_PPM * float(row @ runs.mean), _PPM * scatter.standard_u(row))
+            for name, row in zip(names, rows, strict=True)
+        }
+        return found, rows, scatter
+
+    chosen: tuple[str, ...] = ()
+    while True:
+        tried = {name: values_of((*chosen, name))[0][name] for name in terms if name not in chosen}
+        best = max(tried, key=lambda name: abs(tried[name][0]) / tried[name][1], default="")
+        if not best or abs(tried[best][0]) <= _SIGNIFICANT * tried[best][1]:
+            break
+        chosen = (*chosen, best)
+    of_chosen, rows, scatter = values_of(chosen) if chosen else ({}, np.empty((0, rate.size)), None)
+    known = {**tried, **of_chosen}
+    at = np.array(sorted({sense * size for size in sizes for sense in (-1.0, 1.0)}))
+    shape = _shape(at, full)
+    curve = np.column_stack([shape[name] for name in chosen]) @ rows if chosen else np.zeros((at.size, rate.size))
+    error = _PPM * full * curve / at[:, np.newaxis]
+    error_u = np.array([scatter.standard_u(row) for row in error]) if scatter is not None else np.zeros(at.size)
+    # deviations of the curve with all terms at each rate, ppm of full scale, and their covariance
+    _, of_terms, scatter_of_terms = values_of(terms)
+    factors = _PPM * np.column_stack([shape[name] for name in terms]) @ of_terms
+    power, spread = factors @ runs.mean, factors @ scatter_of_terms.mean_covariance() @ factors.T
+    largest = _PPM * float(np.abs(curve @ runs.mean).max())
+    seen, wide = _largest_of(power, spread)
+    rms, low, high = _rms_of(power, spread, max(runs.mean.size - plain.shape[1] - len(terms), 1))
+    return Linearity(
+        chosen=tuple(name for name in terms if name in chosen),
+        value={name: known[name][0] for name in terms},
+        value_u={name: known[name][1] for name in terms},
+        rms_ppm=rms,
+        rms_low_95_ppm=low,
+        rms_high_95_ppm=high,
+        largest_ppm=largest,
+        largest_low_95_ppm=max(seen - wide, 0.0),
+        largest_high_95_ppm=seen + wide,
+        rate_dps=at,
+        error_ppm=np.asarray(error @ runs.mean),
+        error_u_ppm=error_u,
+    )
+
+
+def _columns(rate: Floats, full: float) -> dict[str, Floats]:
+    """Columns of the output per unit of each term times K."""
+    part = rate / full
+    return {
+        "asymmetry": np.abs(rate) / 2,
+        "linear": rate * part,
+        "quadratic": rate * part**2,
+        "quartic": rate * part**4,
+    }
+
+
+def _shape(rate: Floats, full: float) -> dict[str, Floats]:
+    """Deviation of the curve of each term from its own line with a constant, over the largest output."""
+    line = np.column_stack([rate, np.ones_like(rate)])
+    projector = np.eye(rate.size) - line @ np.linalg.pinv(line)
+    return {name: projector @ column / full for name, column in _columns(rate, full).items()}
+
+
+def _rms_of(deviation: Floats, covariance: Floats, freedom: int) -> tuple[float, float, float]:
+    """Root mean square freed of noise, and its 95 % interval, by the moments of its noise."""
+    noise, square = float(np.trace(covariance)), float(np.sum(covariance**2))
+    power = float(deviation @ deviation)
+    scale, own = square / noise, noise**2 / square
+    sizes = [max(power - noise, 0.0), *(scale * end for end in signal_interval(power / scale, own, freedom))]
+    rms, low, high = (float(np.sqrt(size / deviation.size)) for size in sizes)
+    return rms, low, high
+
+
+def _largest_of(deviation: Floats, covariance: Floats) -> tuple[float, float]:
+    """Largest deviation, and by how much noise changes it in 95 % of all cases."""
+    values, vectors = np.linalg.eigh(covariance)
+    draws = np.random.default_rng(0).normal(size=(_DRAWS, values.size)) * np.sqrt(np.maximum(values, 0.0))
+    largest = np.abs(draws @ vectors.T).max(axis=1)
+    return float(np.abs(deviation).max()), float(np.quantile(largest, 0.95))
+
+
+# --------------------
+# Where input axes point: by the earth rate's sine of one axis, or by three axes that are recorded at once.
+#
+# One axis along the table's: an input axis tilted by psi sees the horizontal earth rate as a sine of amplitude
+# K w_h sin(psi) with the period of a turn. Its phase says nothing where nobody knows the azimuth at the begin of
+# each window, so its power is taken, freed of that of the noise.
+#
+# Three axes at once, each brought to the table's axis in turn: with body axis b along the vertical the output of
+# gyro i over whole turns is
+#
+#     N_i = S_ib end (Omega + w_v) + B_i
+#
+# The columns of S are measured one after the other; row i over its length is the direction of input axis i in the
+# axes of the body, as the fixture brings them to the table's axis. What the fixture is out of square is in it.
+
+
+_RIGHT_ANGLE_MRAD = 500.0 * np.pi
+
+
+@dataclass(frozen=True)
+class InputAxisTilt:
+    """Angle between input axis and table axis."""
+
+    # 0 where the sine does not stand out of its noise; the interval says up to where it may be hidden there
+    tilt_mrad: float
+    low_95_mrad: float
+    high_95_mrad: float
+
+
+def input_axis_tilt(
+    sines: ArrayLike, sines_u: ArrayLike, horizontal_counts: float, *, freedom: float = 1e6
+) -> InputAxisTilt:
+    """Angle between input axis and table axis from the once-per-turn sines of several windows."""
+    amplitude, u = np.abs(np.asarray(sines)), np.asarray(sines_u, dtype=np.float64)
+    if not horizontal_counts > 0:
+        raise ValueError("the horizontal earth rate is zero at the pole: a tilt of the input axis does not show")
+    known = np.isfinite(u) & (u > 0)
+    if not known.any():
+        raise ValueError("no window has whole turns enough")
+    power = float(np.sum((amplitude[known] / u[known]) ** 2))
+    # of the power for an amplitude of one count
+    each = float(np.sum(u[known] ** -2.0))
+    own = 2 * int(known.sum())
+    squares = [max(power - own, 0.0), *signal_interval(power, own, freedom)]
+    sizes = np.sqrt(np.array(squares) / each) / horizontal_counts
+    tilts = [1e3 * float(np.arcsin(size)) if size < 1 else _RIGHT_ANGLE_MRAD for size in sizes]
+    return InputAxisTilt(*tilts)
+
+
+@dataclass(frozen=True)
+class ThreeAxes:
+    """Scale factors and directions of gyros that were recorded at once."""
+
+    gyros: tuple[str, ...]  # gyros, and body axes that were brought to the table's axis
+    turned: tuple[str, ...]
+    matrix: Floats  # (gyros, turned): S, counts per deg/s; with its uncertainty
+    matrix_u: Floats
+    bias: Floats  # (gyros,): counts; with its uncertainty
+    bias_u: Floats
+    # (gyros,): length of each row: along the input axis. nan unless all three axes were turned.; with its
+    # uncertainty
+    scale_factor: Floats
+    scale_factor_u: Floats
+    # (gyros, turned): direction of each input axis towards the other body axes: S_ib over S_ii; 0 towards its own.
+    # nan for a gyro whose own axis was not turned.
+    misalignment_mrad: Floats
+    misalignment_u_mrad: Floats
+
+
+def fit_three_axes(
+    gyros: Sequence[str],
+    turned: Sequence[str],
+    rate_dps: ArrayLike,
+    means: ArrayLike,
+    means_u: ArrayLike,
+    *,
+    end_up: ArrayLike = 1,
+    at_s: ArrayLike = np.nan,
+    vertical_earth_rate_dps: float = 0.0,
+    irreproducibility_ppm: float | None = None,
+    table_rate_u_ppm: float = 0.0,
+    slow: Sequence[Floats | None] = (),
+) -> ThreeAxes:
+    """Fit the matrix of scale factors and misalignments to all runs."""
+    rates = np.asarray(rate_dps, dtype=np.float64)
+    ends = np.broadcast_to(np.asarray(end_up, dtype=np.float64), rates.shape)
+    mean, u = np.asarray(means, dtype=np.float64), np.asarray(means_u, dtype=np.float64)
+    axes = tuple(dict.fromkeys(turned))
+    about = np.array([[name == axis for axis in axes] for name in turned], dtype=np.float64)
+    for axis, chosen in zip(axes, about.T, strict=True):
+        if np.unique(np.sign((ends * rates)[chosen > 0])).size < 2:
+            raise ValueError(f"axis {axis} was turned in one sense only")
+    along = ends * (rates + vertical_earth_rate_dps)
+    when = np.broadcast_to(np.asarray(at_s, dtype=np.float64), rates.shape)
+    design = with_drift(np.column_stack([about * along[:, np.newaxis], np.ones(rates.size)]), when)
+    stated = None if irreproducibility_ppm is None else 1e-6 * irreproducibility_ppm
+    count = len(axes)
+    matrix, matrix_u = np.empty((len(gyros), count)), np.empty((len(gyros), count))
+    bias, bias_u, scale_u = np.empty(len(gyros)), np.empty(len(gyros)), np.empty(len(gyros))
+    angle, angle_u = np.zeros((len(gyros), count)), np.zeros((len(gyros), count))
+    for place, gyro in enumerate(gyros):
+        known = slow[place] if slow else None
+        scatter = find_run_scatter(
+            design, mean[:, place], u[:, place], stated, slow=known, by_model=known is not None
+        )
+        estimator = scatter.estimator(design)
+        values = estimator @ mean[:, place]
+        spread = [scatter.standard_u(row) for row in estimator]
+        common = 1e-6 * table_rate_u_ppm * np.abs(values[:count])
+        size = float(np.linalg.norm(values[:count]))
+        matrix[place], bias[place] = values[:count], values[count]
+        matrix_u[place], bias_u[place] = np.hypot(spread[:count], common), spread[count]
+        along_axis = scatter.standard_u(values[:count] @ estimator[:count] / size)
+        scale_u[place] = np.hypot(along_axis, 1e-6 * table_rate_u_ppm * size)
+        own = axes.index(gyro) if gyro in axes else None
+        for other in range(count):
+            if own is None:
+                angle[place, other] = angle_u[place, other] = np.nan
+            elif other != own:
+                ratio = values[other] / values[own]
+                angle[place, other] = 1e3 * ratio
+                combined = (estimator[other] - ratio * estimator[own]) / values[own]
+                angle_u[place, other] = 1e3 * scatter.standard_u(combined)
+    whole = count == 3
+    return ThreeAxes(
+        tuple(gyros), axes, matrix, matrix_u, bias, bias_u,
+        np.linalg.norm(matrix, axis=1) if whole else np.full(len(gyros), np.nan),
+        scale_u if whole else np.full(len(gyros), np.nan),
+        angle, angle_u,
+    )  # fmt: skip

@@ -25,6 +25,7 @@ from pyvisa.resources import MessageBasedResource, SerialInstrument
 
 from instrument.claims import claim
 from instrument.errors import InstrumentError, LinkError, SettingError, TransferError, WrongInstrument
+from instrument.pyvisa_sessions import visa_manager
 
 T = TypeVar("T")
 
@@ -495,7 +496,7 @@ class LineDialogue:
         """Open the link, or open it again; other programs are kept from it meanwhile."""
         self._hang_up()
         try:
-            manager = self._manager or pyvisa.ResourceManager()
+            manager = self._manager or visa_manager()
             resource = manager.open_resource(self.name)
         except (pyvisa.Error, OSError, ValueError, AttributeError) as error:
             raise LinkError(

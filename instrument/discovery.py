@@ -16,6 +16,7 @@ from instrument.dialogue.dialogue import Dialogue
 from instrument.dialogue.identify import Identity
 from instrument.dialogue.link import Link
 from instrument.errors import InstrumentError, LinkError
+from instrument.pyvisa_sessions import visa_manager
 
 # What PyVISA-py needs beyond itself for each kind of link, and what to install for it.
 _TRANSPORTS = (
@@ -58,7 +59,7 @@ def find_resources(
         If there is no VISA at all.
     """
     try:
-        manager = resource_manager or pyvisa.ResourceManager()
+        manager = resource_manager or visa_manager()
         with warnings.catch_warnings():
             # PyVISA-py warns about optional packages for network discovery; `missing_transports` tells more.
             warnings.simplefilter("ignore")

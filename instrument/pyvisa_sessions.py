@@ -7,6 +7,7 @@ be asked for again. Its stream has no message ends.
 
 import contextlib
 import importlib
+import os
 import re
 import socket
 from typing import Any, Protocol, cast
@@ -142,7 +143,7 @@ def meant_by(name: str) -> str:
     if "::" in name or "/" in name:
         return name
     try:
-        return _meant(name, pyvisa.ResourceManager())
+        return _meant(name, visa_manager())
     except Exception:  # without any VISA there are no aliases
         return name
 
@@ -186,10 +187,24 @@ def open_instrument(
     return resource, beneath
 
 
+_BACKENDS = {"pyvisa_py": "@py", "pyvisa": "@ivi"}
+_found: list[str] = []  # the backend that PyVISA chose; it asks ldd and a compiler for a vendor's, 0.1 s each time
+
+
+def visa_manager(backend: str = "") -> pyvisa.ResourceManager:
+    """A resource manager of one backend, else by PYVISA_LIBRARY, else by the choice that PyVISA makes once."""
+    if backend or "PYVISA_LIBRARY" in os.environ:
+        return pyvisa.ResourceManager(backend)
+    manager = pyvisa.ResourceManager(*_found)
+    if not _found and (known := _BACKENDS.get(type(manager.visalib).__module__.split(".")[0])):
+        _found.append(known)
+    return manager
+
+
 def _manager(name: str, manager: pyvisa.ResourceManager | None) -> pyvisa.ResourceManager:
     """The manager that was given, or PyVISA's own choice; an adapter needs PyVISA-py."""
     try:
-        return manager or pyvisa.ResourceManager("@py" if behind_adapter(name) else "")
+        return manager or visa_manager("@py" if behind_adapter(name) else "")
     except Exception as error:
         raise LinkError(f"cannot open {name}: {_reason(error)}") from error
 

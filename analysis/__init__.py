@@ -74,31 +74,12 @@ __all__ = [  # noqa: RUF022 - in the order of the work, not of the alphabet
 
 # a name is imported when it is first used: most programs need few of them
 _HOMES = {
-    "analysis.channel": (
-        "ChannelResponse",
-        "correct_response",
-    ),
+    "analysis.channel": ("ChannelResponse", "correct_response"),
     "analysis.combine": ("combine_estimates",),
-    "analysis.dead_band": (
-        "DeadBand",
-        "find_dead_band",
-        "simulate_sweep",
-    ),
-    "analysis.flags": (
-        "DOUBTFUL",
-        "FATAL",
-        "Flag",
-        "describe_flag",
-        "flag_names",
-    ),
-    "analysis.frequency_method": (
-        "FrequencyFit",
-        "fit_frequencies",
-    ),
-    "analysis.harmonics": (
-        "HarmonicFit",
-        "fit_harmonics",
-    ),
+    "analysis.dead_band": ("DeadBand", "find_dead_band", "simulate_sweep"),
+    "analysis.flags": ("DOUBTFUL", "FATAL", "Flag", "describe_flag", "flag_names"),
+    "analysis.frequency_method": ("FrequencyFit", "fit_frequencies"),
+    "analysis.harmonics": ("HarmonicFit", "fit_harmonics"),
     "analysis.lockin_equation": (
         "beat_frequency",
         "beat_signal",
@@ -108,15 +89,8 @@ _HOMES = {
         "lock_in_from_rate",
         "rate_varying_beat",
     ),
-    "analysis.lockin_rate": (
-        "LockInEstimate",
-        "estimate_lock_in",
-    ),
-    "analysis.quadratures": (
-        "QuadratureEstimate",
-        "QuadratureFlag",
-        "estimate_quadratures",
-    ),
+    "analysis.lockin_rate": ("LockInEstimate", "estimate_lock_in"),
+    "analysis.quadratures": ("QuadratureEstimate", "QuadratureFlag", "estimate_quadratures"),
     "analysis.rotation": (
         "EARTH_RATE_DPS",
         "TiltFit",
@@ -124,12 +98,7 @@ _HOMES = {
         "rate_on_axis",
         "tilt_from_fast_runs",
     ),
-    "analysis.several_rates": (
-        "RatesFit",
-        "RatesFlag",
-        "fit_rate_ratios",
-        "fit_rates",
-    ),
+    "analysis.several_rates": ("RatesFit", "RatesFlag", "fit_rate_ratios", "fit_rates"),
 }
 
 

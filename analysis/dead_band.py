@@ -250,12 +250,7 @@ def fit_whole_corner(swept: Sweep, start: float) -> Corner:
         return np.asarray(expected(point[np.newaxis])[0] - seen)
 
     fit = least_squares(
-        left,
-        _START[:count],
-        jac=slopes,
-        bounds=(_LOW[:count], _HIGH[:count]),
-        x_scale=_SCALE[:count],
-        max_nfev=60,
+        left, _START[:count], jac=slopes, bounds=(_LOW[:count], _HIGH[:count]), x_scale=_SCALE[:count], max_nfev=60
     )
     if np.any(fit.active_mask[_NOT_THE_WALK[:count]]):
         return Corner()  # no such corner: another scale factor, or steps that do not show it
@@ -530,10 +525,7 @@ def _slips_u(swept: Sweep, corner: Corner) -> Floats:
     down = falling(swept.rates)
     slips = swept.dwell * np.abs(
         rounded_pulse_rate(
-            swept.rates,
-            scale_factor=swept.scale_factor,
-            lock_in_rate=corner.rate,
-            random_walk=corner.random_walk,
+            swept.rates, scale_factor=swept.scale_factor, lock_in_rate=corner.rate, random_walk=corner.random_walk
         )
     )
     for k, sense in enumerate((1, -1)):

@@ -585,7 +585,9 @@ def compare_pieces(
     for n_pieces in range(2, MOST_PIECES + 1):
         rows = never_alone(np.flatnonzero(number == n_pieces))
         if rows.size:
-            parts = _beats_of_parts(stack, clipped, rows, n_pieces, sample_interval)
+            # What no motion has explained as a whole is not looked for in the parts with the slowest of means.
+            moves = (flags[rows] & int(Flag.RATE_WANDER)) != 0
+            parts = _beats_of_parts(stack, clipped, rows, n_pieces, sample_interval, moves)
             ratio_u, differ = _disagreement(beat, rows, *parts)
             beat = beat.widened(rows, ratio_u)
             flags[rows[differ]] |= Flag.PARTS_DIFFER
@@ -593,14 +595,15 @@ def compare_pieces(
 
 
 def _beats_of_parts(
-    stack: Stack, clipped: Bools | None, rows: Indices, n_pieces: int, sample_interval: float
+    stack: Stack, clipped: Bools | None, rows: Indices, n_pieces: int, sample_interval: float, moves: Bools
 ) -> tuple[Beat, Ints]:
     length = stack.n_samples // n_pieces
 
     def cut(samples: np.ndarray) -> np.ndarray:
         return samples[rows, : length * n_pieces].reshape(-1, length)
 
-    parts = Stack(cut(stack.volts), (rows.size * n_pieces,), stack.nan_policy)
+    exact = np.repeat(moves, n_pieces)
+    parts = Stack(cut(stack.volts), (rows.size * n_pieces,), stack.nan_policy, exact)
     fit = fit_waveform(parts, None if clipped is None else cut(clipped))
     return Beat.of(fit, length, sample_interval), fit.flags
 
@@ -737,6 +740,5 @@ def _acceptance() -> tuple[Floats, Floats, Floats]:
 
 def _rice(observed: Floats, true: Floats) -> Floats:
     return np.asarray(
-        observed * np.exp(-((observed - true) ** 2) / 2) * scipy.special.i0e(observed * true),
-        dtype=np.float64,
+        observed * np.exp(-((observed - true) ** 2) / 2) * scipy.special.i0e(observed * true), dtype=np.float64
     )

@@ -39,11 +39,7 @@ class OscilloscopeSteps:
     levels_per_division: int = 25
 
     def time_base(
-        self,
-        frequency: float,
-        periods_min: float,
-        samples_per_period_min: float,
-        mains: Sequence[float] = (),
+        self, frequency: float, periods_min: float, samples_per_period_min: float, mains: Sequence[float] = ()
     ) -> float:
         """The fastest step, s/div, that holds so many periods; the next where that is clear of the mains."""
         # Where that would leave too few samples in a period it is the slowest step that leaves enough.

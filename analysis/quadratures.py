@@ -212,11 +212,7 @@ class _Pair:
 
 
 def _combine(
-    sine: LockInEstimate,
-    cosine: LockInEstimate,
-    sine_lines: Complexes,
-    cosine_lines: Complexes,
-    n_samples: int,
+    sine: LockInEstimate, cosine: LockInEstimate, sine_lines: Complexes, cosine_lines: Complexes, n_samples: int
 ) -> QuadratureEstimate:
     shape, flat = sine.flags.shape, (sine.reshaped(-1), cosine.reshaped(-1))
     pair = _Pair(
@@ -225,7 +221,19 @@ def _combine(
         lines=(sine_lines, cosine_lines),
         lines_u=(flat[0].noise_rms * np.sqrt(2 / n_samples), flat[1].noise_rms * np.sqrt(2 / n_samples)),
     )
-    rho, distortion, angle = _without_distortion(pair)
+    # Equation (1), solved for D_s and D_c.
+    angle, inner = pair.angle, pair.ratio
+    for _ in range(4):
+        turn = np.exp(1j * angle)
+        difference = pair.ratio[0] * turn - pair.ratio[1]
+        by_sine, by_cosine = _bracket(inner[0]) * turn, -_bracket(inner[1])
+        determinant = by_sine.real * by_cosine.imag - by_sine.imag * by_cosine.real
+        d_sine = (difference.real * by_cosine.imag - difference.imag * by_cosine.real) / determinant
+        d_cosine = (by_sine.real * difference.imag - by_sine.imag * difference.real) / determinant
+        inner = (pair.ratio[0] - d_sine * _bracket(inner[0]), pair.ratio[1] - d_cosine * _bracket(inner[1]))
+        # The square law mixes first and second harmonic back into the first and turns its phase by 2 D Im rho.
+        angle = pair.angle - 2 * (d_sine * inner[0].imag - d_cosine * inner[1].imag)
+    rho, distortion = inner[0], np.stack([d_sine, d_cosine], axis=-1)
     covariance, distortion_u, angle_u, gain_u = _propagated(pair)
     across = np.abs(np.sin(pair.angle)) > NO_QUADRATURE
     sense = np.where(across, -np.sign(np.sin(pair.angle)), 0.0)
@@ -258,26 +266,6 @@ def _combine(
 def _bracket(rho: Complexes) -> Complexes:
     """What a square law of unit second harmonic adds to rho, to first order: 1 far above lock-in."""
     return np.asarray(1 - np.abs(rho) ** 2 - 2j * rho * rho.imag)
-
-
-def _without_distortion(pair: _Pair) -> tuple[Complexes, Floats, Floats]:
-    """rho of the sine channel, (R, 2) the distortion of sine and cosine, and the angle between the channels."""
-    # Equation (1), solved for D_s and D_c.
-    angle, inner = pair.angle, pair.ratio
-    for _ in range(4):
-        turn = np.exp(1j * angle)
-        difference = pair.ratio[0] * turn - pair.ratio[1]
-        by_sine, by_cosine = _bracket(inner[0]) * turn, -_bracket(inner[1])
-        determinant = by_sine.real * by_cosine.imag - by_sine.imag * by_cosine.real
-        d_sine = (difference.real * by_cosine.imag - difference.imag * by_cosine.real) / determinant
-        d_cosine = (by_sine.real * difference.imag - by_sine.imag * difference.real) / determinant
-        inner = (
-            pair.ratio[0] - d_sine * _bracket(inner[0]),
-            pair.ratio[1] - d_cosine * _bracket(inner[1]),
-        )
-        # The square law mixes first and second harmonic back into the first and turns its phase by 2 D Im rho.
-        angle = pair.angle - 2 * (d_sine * inner[0].imag - d_cosine * inner[1].imag)
-    return inner[0], np.stack([d_sine, d_cosine], axis=-1), angle
 
 
 def _propagated(pair: _Pair) -> tuple[Floats, Floats, Floats, Floats]:

@@ -285,10 +285,7 @@ def _distorted(over: float) -> Floats:
     readout = 2 * np.pi * np.arange(_PAIRS) / _PAIRS
     volts, interval = _records(over, readout, np.full(_PAIRS, _PERIODS[0]))
     found = estimate_lock_in(
-        volts + 2 * DISTORTION * volts**2,
-        interval,
-        scale_factor=SCALE_FACTOR,
-        input_rate=over * LOCK_IN_RATE,
+        volts + 2 * DISTORTION * volts**2, interval, scale_factor=SCALE_FACTOR, input_rate=over * LOCK_IN_RATE
     )
     return np.asarray(found.lock_in_rate / LOCK_IN_RATE - 1)
 

@@ -69,16 +69,8 @@ __all__ = [
 # a name is imported when it is first used: most programs need few of them
 _HOMES = {
     "instrument.dialogue.identify": ("Identity",),
-    "instrument.dialogue.retry": (
-        "ATTEMPTS",
-        "RECONNECT_FOR",
-        "Persistence",
-        "Tally",
-    ),
-    "instrument.discovery": (
-        "FoundResource",
-        "find_resources",
-    ),
+    "instrument.dialogue.retry": ("ATTEMPTS", "RECONNECT_FOR", "Persistence", "Tally"),
+    "instrument.discovery": ("FoundResource", "find_resources"),
     "instrument.errors": (
         "CommandError",
         "DeviceError",
@@ -93,26 +85,12 @@ _HOMES = {
         "TransferError",
         "WrongInstrument",
     ),
-    "instrument.rate_table": (
-        "ManualRateTable",
-        "RateTable",
-    ),
-    "instrument.tds2014.front_panel": (
-        "ChannelSettings",
-        "FoundPanel",
-    ),
-    "instrument.tds2014.knobs": (
-        "MEASUREMENTS",
-        "Cursors",
-        "Measurement",
-        "ScreenPicture",
-    ),
+    "instrument.rate_table": ("ManualRateTable", "RateTable"),
+    "instrument.tds2014.front_panel": ("ChannelSettings", "FoundPanel"),
+    "instrument.tds2014.knobs": ("MEASUREMENTS", "Cursors", "Measurement", "ScreenPicture"),
     "instrument.tds2014.scope": ("TDS2014",),
     "instrument.tek_files": ("read_waveform",),
-    "instrument.waveform": (
-        "Preamble",
-        "Waveform",
-    ),
+    "instrument.waveform": ("Preamble", "Waveform"),
 }
 
 

@@ -113,10 +113,7 @@ def _names_by_pyvisa_py(*, lan: bool) -> list[str]:
 
 
 def check_resource(
-    resource_name: str,
-    resource_manager: pyvisa.ResourceManager | None = None,
-    *,
-    baud_rate: int | None = None,
+    resource_name: str, resource_manager: pyvisa.ResourceManager | None = None, *, baud_rate: int | None = None
 ) -> FoundResource:
     """Try one resource: who answers there, or why nobody does."""
     try:

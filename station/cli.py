@@ -35,53 +35,23 @@ COMMANDS = {
     "start": ("commands.measure:start", "Measure for the first time, step by step."),
     "acquire": ("commands.measure:acquire", "Acquire and save records only."),
     "deadband": ("commands.measure:deadband", "Search the dead band: sweep the rate through zero, up and down."),
-    "analyze": (
-        "commands.analyze:command",
-        "Evaluate saved runs again, and files of Tektronix oscilloscopes.",
-    ),
+    "analyze": ("commands.analyze:command", "Evaluate saved runs again, and files of Tektronix oscilloscopes."),
     "compare": (
         "commands.saved:compare_command",
         "Compare two analyses of the same records, or records of two gyros.",
     ),
     "report": ("commands.saved:report_command", "Write the HTML report of saved runs."),
-    "runs": (
-        "commands.catalogue:runs_command",
-        "List runs: when, what, unit, result, quality, verdict.",
-    ),
-    "annotate": (
-        "commands.saved:annotate_command",
-        "Add notes, tags or a good or bad mark to saved runs.",
-    ),
-    "export": (
-        "commands.saved:export_command",
-        "Write records to a data set: CSV, Parquet, HDF5, NumPy.",
-    ),
-    "verify": (
-        "commands.saved:verify_command",
-        "Check that the record of a test matches its raw runs.",
-    ),
-    "history": (
-        "commands.catalogue:history_command",
-        "Show tested units and control charts.",
-    ),
-    "salvage": (
-        "commands.saved:salvage_command",
-        "Copy what can still be read of a damaged run into a new one.",
-    ),
+    "runs": ("commands.catalogue:runs_command", "List runs: when, what, unit, result, quality, verdict."),
+    "annotate": ("commands.saved:annotate_command", "Add notes, tags or a good or bad mark to saved runs."),
+    "export": ("commands.saved:export_command", "Write records to a data set: CSV, Parquet, HDF5, NumPy."),
+    "verify": ("commands.saved:verify_command", "Check that the record of a test matches its raw runs."),
+    "history": ("commands.catalogue:history_command", "Show tested units and control charts."),
+    "salvage": ("commands.saved:salvage_command", "Copy what can still be read of a damaged run into a new one."),
     "status": ("commands.running:status", "Show running measurements."),
     "stop": ("commands.running:stop", "Stop a running measurement or station; its records are kept."),
-    "grab": (
-        "commands.instruments:grab_command",
-        "Save the screen as PNG and the traces as CSV and NumPy.",
-    ),
-    "plan": (
-        "commands.planning:plan_command",
-        "Plan a measurement: records for a wanted uncertainty.",
-    ),
-    "station": (
-        "commands.station:command",
-        "Test a unit by a campaign file: one verdict.",
-    ),
+    "grab": ("commands.instruments:grab_command", "Save the screen as PNG and the traces as CSV and NumPy."),
+    "plan": ("commands.planning:plan_command", "Plan a measurement: records for a wanted uncertainty."),
+    "station": ("commands.station:command", "Test a unit by a campaign file: one verdict."),
     "fog": ("fibre_gyro.command:command", "Scale factor of a fibre gyro: rate table, self-calibration, ..."),
     "study": ("commands.planning:study_command", "Repeat the paper's simulations, by its method and exactly."),
     "simulate": (
@@ -89,10 +59,7 @@ COMMANDS = {
         "Serve the simulated oscilloscope: TCP, HiSLIP, GPIB, terminal.",
     ),
     "list": ("commands.instruments:list_command", "List the instruments that VISA can see."),
-    "doctor": (
-        "commands.doctor:doctor_command",
-        "Check this installation; say what is missing.",
-    ),
+    "doctor": ("commands.doctor:doctor_command", "Check this installation; say what is missing."),
     "settings": ("commands.settings:command", "Print a commented settings file to copy."),
 }
 

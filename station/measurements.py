@@ -24,14 +24,6 @@ S = TypeVar("S", bound=SettingsSection)
 F = TypeVar("F")
 
 
-def _nothing_unusable(run: SavedRun, settings: Any) -> Mapping[str, str]:
-    return {}
-
-
-def _no_rows(found: Any) -> list[dict[str, Any]]:
-    return []
-
-
 @dataclass(frozen=True, kw_only=True)
 class Measurement(Generic[S, F]):
     """What one kind of measurement knows; everything else is the same for all."""
@@ -61,10 +53,10 @@ class Measurement(Generic[S, F]):
     # gets what was found, the run and the settings: settings and conditions, for the end of the report
     facts: Callable[[F, SavedRun, S], list[FactTable]]
     # gets what was found: one JSON object for each record, or none
-    rows: Callable[[F], Iterable[dict[str, Any]]] = field(default=_no_rows)
+    rows: Callable[[F], Iterable[dict[str, Any]]] = field(default=lambda found: ())
     quantities: Quantities = ()  # its numbers
     # gets a run and its settings: keys of records that are to be taken again when it is gone on with, and why
-    unusable: Callable[[SavedRun, S], Mapping[str, str]] = field(default=_nothing_unusable)
+    unusable: Callable[[SavedRun, S], Mapping[str, str]] = field(default=lambda run, settings: {})
     # gets settings: whether the bench that they describe is simulated
     simulated: Callable[[S], bool] = field(default=lambda settings: bool(settings.simulated))
     # gets settings: how long a real bench takes, or ``None`` where nobody knows that beforehand
@@ -89,6 +81,7 @@ FIBRE_GYRO_TESTS = {
     "allan": "Noise at rest: Allan deviation and noise model.",
     "threshold": "Threshold, resolution and dead zone, by a ladder of small rates in both senses.",
     "temperature": "Scale factor and bias over a temperature ramp, compensation table. PATH may be a log at rest.",
+    "sensitivity": "Sensitivity of bias and K to a field, supply, pressure, ..; bias and K from six positions.",
     "witness": "Modulator staircase on an oscilloscope: step, step time, fall at a reset, V_2π, 2π error.",
 }
 # what a run is marked with: the module that holds MEASUREMENT

@@ -38,12 +38,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 FIGURES = (2, 3, 4, 5, 6)
-WINDOW_NAMES = {
-    "boxcar": "no window",
-    "hann": "Hann",
-    "blackmanharris": "Blackman-Harris",
-    "flattop": "flat top",
-}
+WINDOW_NAMES = {"boxcar": "no window", "hann": "Hann", "blackmanharris": "Blackman-Harris", "flattop": "flat top"}
 CAUSE_NAMES = {
     "formula": "equation (13)",
     "reading, no window": "reading peaks, no window",
@@ -114,9 +109,30 @@ def study_document(study: Study, sentences: list[str], files: list[str]) -> dict
         "files": files,
     }
     for number, wave in study.waveforms.items():
-        document["figures"][str(number)] = _waveform_document(wave)
+        by_peaks, by_fit = wave.lock_in_by(wave.peaks)[0], wave.lock_in_by(wave.fitted)[1]
+        document["figures"][str(number)] = {
+            INPUT_RATE.key(): wave.input_rate,
+            LOCK_IN_RATE.key(): wave.lock_in_rate,
+            BEAT_FREQUENCY.key(): wave.beat_frequency,
+            "amplitudes": {"exact": wave.exact, "peaks": wave.peaks, "least_squares": wave.fitted},
+            "lock_in_rate_by_peaks_dps": by_peaks,
+            "lock_in_rate_by_least_squares_dps": by_fit,
+        }
     for number, errors in study.errors.items():
-        document["figures"][str(number)] = _error_document(number, errors)
+        document["figures"][str(number)] = {
+            "axis": axis_name(number),
+            "values": errors.axis,
+            "curves": [
+                {
+                    INPUT_RATE.key(): rate,
+                    LOCK_IN_RATE.key(): lock_in,
+                    "by_peaks_percent": {name: 100 * found[place] for name, found in errors.by_peaks.items()},
+                    "formula_13_percent": 100 * errors.formula[place],
+                    "ours_percent": 100 * errors.ours[place],
+                }
+                for place, (rate, lock_in) in enumerate(errors.curves)
+            ],
+        }
     if study.bias is not None:
         bias = study.bias
         document["bias"] = {
@@ -155,39 +171,6 @@ def curve_name(curve: tuple[float, float]) -> str:
 def axis_name(number: int) -> str:
     """Name the axis of Figs. 4 to 6."""
     return {4: "initial phase, rad", 5: "input rate, deg/s", 6: "lock-in rate, deg/s"}[number]
-
-
-def _waveform_document(wave: WaveformStudy) -> dict[str, Any]:
-    by_peaks, by_fit = wave.lock_in_by(wave.peaks)[0], wave.lock_in_by(wave.fitted)[1]
-    return {
-        INPUT_RATE.key(): wave.input_rate,
-        LOCK_IN_RATE.key(): wave.lock_in_rate,
-        BEAT_FREQUENCY.key(): wave.beat_frequency,
-        "amplitudes": {
-            "exact": wave.exact,
-            "peaks": wave.peaks,
-            "least_squares": wave.fitted,
-        },
-        "lock_in_rate_by_peaks_dps": by_peaks,
-        "lock_in_rate_by_least_squares_dps": by_fit,
-    }
-
-
-def _error_document(number: int, errors: ErrorStudy) -> dict[str, Any]:
-    return {
-        "axis": axis_name(number),
-        "values": errors.axis,
-        "curves": [
-            {
-                INPUT_RATE.key(): rate,
-                LOCK_IN_RATE.key(): lock_in,
-                "by_peaks_percent": {name: 100 * found[place] for name, found in errors.by_peaks.items()},
-                "formula_13_percent": 100 * errors.formula[place],
-                "ours_percent": 100 * errors.ours[place],
-            }
-            for place, (rate, lock_in) in enumerate(errors.curves)
-        ],
-    }
 
 
 def _causes_document(causes: Causes) -> list[dict[str, Any]]:

@@ -67,6 +67,7 @@ from analysis.fibre_gyro.rate_table import (
     vertical_earth_rate_dph,
 )
 from analysis.fibre_gyro.scatter import NORMAL_95, RunScatter, few_values_factor, find_run_scatter
+from analysis.fibre_gyro.sensitivity import StimulusResponse, stimulus_response, tumble
 from analysis.fibre_gyro.staircase import (
     StaircaseWitness,
     describe_witness_flag,
@@ -137,6 +138,7 @@ __all__ = [
     "SmallRates",
     "StaircaseWitness",
     "StaticLevel",
+    "StimulusResponse",
     "TableRuns",
     "ThreeAxes",
     "TurnOn",
@@ -187,10 +189,12 @@ __all__ = [
     "small_rates",
     "static_level",
     "steps_beyond_dac",
+    "stimulus_response",
     "superposed_numbers",
     "table_runs",
     "temperature_coefficient_ppm",
     "temperature_course",
+    "tumble",
     "turn_by_encoder",
     "turn_on_transient",
     "turn_time",

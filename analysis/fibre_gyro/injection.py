@@ -317,7 +317,12 @@ def static_level(times: ArrayLike, static_times: ArrayLike, static: ArrayLike, s
     span = float(when[-1] - when[0]) or 1.0
     modelled = level.size > 2 or abs(drift) > _SIGNIFICANT * drift_u
     if modelled:
-        weights = _interpolation(at, when)
+        place = np.clip(np.searchsorted(when, at) - 1, 0, when.size - 2)
+        part = np.clip((at - when[place]) / (when[place + 1] - when[place]), 0.0, 1.0)
+        weights = np.zeros((at.size, when.size))
+        weights[np.arange(at.size), place] = 1 - part
+        weights[np.arange(at.size), place + 1] += part
+        weights = weights
         return StaticLevel(
             weights @ level, np.sqrt(weights**2 @ u**2), mean, mean_u, drift, drift_u, True, 0.0, weights
         )
@@ -340,16 +345,6 @@ def drift_in_slope(rates: ArrayLike, weights: ArrayLike, times: ArrayLike) -> fl
     total = float(weight.sum())
     centred = rate - float(weight @ rate) / total
     return float(weight @ (centred * (at - float(weight @ at) / total))) / float(weight @ centred**2)
-
-
-def _interpolation(at: Floats, when: Floats) -> Floats:
-    """Factors of the static outputs in the level at each time, (n, m); constant beyond the first and the last."""
-    place = np.clip(np.searchsorted(when, at) - 1, 0, when.size - 2)
-    part = np.clip((at - when[place]) / (when[place + 1] - when[place]), 0.0, 1.0)
-    weights = np.zeros((at.size, when.size))
-    weights[np.arange(at.size), place] = 1 - part
-    weights[np.arange(at.size), place + 1] += part
-    return weights
 
 
 # --------------------

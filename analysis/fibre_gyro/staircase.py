@@ -73,10 +73,7 @@ def describe_witness_flag(name: str) -> str:
 
 
 def two_pi_error_of_drive(
-    two_pi_voltage: float,
-    two_pi_voltage_u: float,
-    half_wave_voltage: float,
-    half_wave_voltage_u: float = 0.0,
+    two_pi_voltage: float, two_pi_voltage_u: float, half_wave_voltage: float, half_wave_voltage_u: float = 0.0
 ) -> tuple[float, float]:
     """Relative 2-pi error of a modulator drive, ``V_2pi / (2 V_pi) - 1``, and its standard uncertainty.
 

@@ -22,9 +22,7 @@ from analysis.budget import (
     lock_in_budget,
     operating_point,
 )
-from analysis.budget import (
-    Reference as RateReference,
-)
+from analysis.budget import Reference as RateReference
 from analysis.budget.bench import bounded
 from analysis.budget.inputs import CORNERS, response_input, separated_input
 from analysis.channel import ChannelResponse
@@ -94,7 +92,7 @@ def evaluate(
         axis = axis_rates(run.slow, tilt, knowledge)
     # 3. the mean of all records, or each rate alone and then one fit
     several = None
-    if axis is not None and at_several_rates(run.slow):
+    if axis is not None and np.unique(run.slow.table_rate).size > 1:
         several = evaluate_rates(run.slow, each, axis, ReceiverKnowledge.of(knowledge.bench))
     rates = None if axis is None else axis.rates
     combined = combine_estimates(each, rates) if several is None else combined_estimate(several)
@@ -192,11 +190,6 @@ class SeveralRates:
             return relative if math.isfinite(relative) else math.inf
 
         return min(self.groups, key=relative_u)
-
-
-def at_several_rates(slow: RecordArrays) -> bool:
-    """Tell whether a run went through several rates of the table, or through both senses of one."""
-    return np.unique(slow.table_rate).size > 1
 
 
 def evaluate_rates(

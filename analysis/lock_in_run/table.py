@@ -418,10 +418,7 @@ class Stated:
         swing = knowledge.scale_factor * horizontal * math.sin(math.radians(tilt.tilt_deg))
         return cls(
             earth=(swing, 0.0),
-            earth_u=(
-                max(swing * math.hypot(scale_u, latitude_u), 1e-12),
-                max(swing * _NORTH_U, 1e-12),
-            ),
+            earth_u=(max(swing * math.hypot(scale_u, latitude_u), 1e-12), max(swing * _NORTH_U, 1e-12)),
             vertical=EARTH_RATE_DPS * math.sin(latitude),
             horizontal=horizontal,
             latitude_u=latitude_u,
@@ -504,28 +501,20 @@ def fitted_curve(
         for some in seen.blocks():
             noise = np.sqrt((stretch * some.frequency_u) ** 2 + moving)
             equations.add(*_linearised(values, some, stated), noise, some.setting)
-        scatter = equations.about_the_curve() if few else equations.within_settings()
-        beyond = scatter.chi_square - free
+        chi_square, slope_by_variance = equations.about_the_curve() if few else equations.within_settings()
+        beyond = chi_square - free
         as_expected = abs(beyond) <= 0.01 * free or (beyond < 0 and moving == 0 and stretch == 1)
         system = _System(seen, start, known, values, stated.swing, equations.triangle)
-        common = 0.0 if few else system.common_to_a_setting(scatter.chi_square, settings - told)
+        common = 0.0 if few else system.common_to_a_setting(chi_square, settings - told)
         change, covariance = system.solved(common)
         values = values + change
         if as_expected and np.all(np.abs(change) < 1e-6 * np.sqrt(np.diagonal(covariance))):
             break
         if not as_expected and rate_moves:
-            moving = max(moving + beyond / scatter.slope_by_variance, 0.0)
+            moving = max(moving + beyond / slope_by_variance, 0.0)
         elif not as_expected:
-            stretch = max(stretch * math.sqrt(scatter.chi_square / free), 1.0)
+            stretch = max(stretch * math.sqrt(chi_square / free), 1.0)
     return Curve(values, covariance, system.solved(0.0)[1], settings - told)
-
-
-@dataclass(frozen=True)
-class _TableScatter:
-    """Of records: chi-square, and how it falls with their variance."""
-
-    chi_square: float
-    slope_by_variance: float
 
 
 @dataclass
@@ -551,15 +540,15 @@ class _TableEquations:
         for row, (power, of_noise) in enumerate(itertools.product((0, 1, 2), (2, 4))):
             np.add.at(self.moments[row], setting, left**power / noise**of_noise)
 
-    def about_the_curve(self) -> _TableScatter:
-        """How the records scatter where too few settings tell what moves from one to the next."""
-        return _TableScatter(float(np.sum(self.moments[4])), float(np.sum(self.moments[5])))
+    def about_the_curve(self) -> tuple[float, float]:
+        """Chi-square, and how it falls with the variance, where too few settings tell what moves between them."""
+        return float(np.sum(self.moments[4])), float(np.sum(self.moments[5]))
 
-    def within_settings(self) -> _TableScatter:
-        """How the records scatter about the means of their settings."""
+    def within_settings(self) -> tuple[float, float]:
+        """The same of the records about the means of their settings."""
         n2, n4, l2, l4, ll2, ll4 = self.moments
         mean = l2 / np.maximum(n2, 1e-300)
-        return _TableScatter(float(np.sum(ll2 - mean * l2)), float(np.sum(ll4 - 2 * mean * l4 + mean**2 * n4)))
+        return float(np.sum(ll2 - mean * l2)), float(np.sum(ll4 - 2 * mean * l4 + mean**2 * n4))
 
 
 @dataclass(frozen=True)

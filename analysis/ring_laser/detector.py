@@ -467,7 +467,13 @@ def mean_beat_on_table(
     for n in range(order - 1):
         power *= apart
         together[n] = power.mean(axis=0)
-    shares = _mean_between(together, times / span)
+    places = times / span
+    at = places * (together.shape[1] - 1)
+    cells = np.minimum(np.maximum(at.astype(np.intp), 2), together.shape[1] - 4)
+    weights = six_weights(at - cells)
+    shares = np.asarray(
+        sum(weight * together[:, cells + n] for n, weight in zip(range(-2, 4), weights, strict=True))
+    )
     turning = np.exp(1j * sense * beat_phase_on_table(gyro, segments, middle + times)[1])
     growing = begin[1:order, np.newaxis] + (end - begin)[1:order, np.newaxis] * (times / span)
     volts: Floats = begin[0].real + _sum_of_powers(growing * shares, turning)
@@ -493,11 +499,3 @@ def _sum_of_powers(factors: Complexes, base: Complexes) -> Floats:
         total += factor
         total *= base
     return np.ascontiguousarray(total.real)
-
-
-def _mean_between(values: Complexes, places: Floats) -> Complexes:
-    """Values (m, nodes) at even steps from 0 to 1, at places (n,) between them: quintic polynomials."""
-    at = places * (values.shape[1] - 1)
-    cells = np.minimum(np.maximum(at.astype(np.intp), 2), values.shape[1] - 4)
-    weights = six_weights(at - cells)
-    return np.asarray(sum(weight * values[:, cells + n] for n, weight in zip(range(-2, 4), weights, strict=True)))

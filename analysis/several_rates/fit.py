@@ -15,7 +15,7 @@ import numpy as np
 import scipy.special
 from numpy.typing import ArrayLike
 
-from analysis.arrays import Bools, Complexes, Floats, Indices, NoFit
+from analysis.arrays import Complexes, Floats, NoFit
 from analysis.lockin_rate import LockInEstimate
 from analysis.several_rates.points import (
     MISMATCH,
@@ -278,7 +278,16 @@ def _fit(
         found = up_to(all_solutions(points.points, known), most)
     points, found = _beyond_first_order(points, found, _prior(chosen, known), most)
     points, found = _with_table_noise(points, found, _prior(chosen, known), most)
-    fits = _models(points, found, known, chosen)
+    fits: dict[Model, RatioFit] = {}
+    for name, which in FREE.items():
+        if name == chosen:
+            fits[name] = found[:1]
+        elif points.settings > 1 or name == "lock-in":
+            prior = _prior(name, known)
+            held = np.array([True, True, *which])
+            fit = fit_ratios(points.points, prior, np.where(held, found.parameters[:1], prior.mean))
+            if not fit.singular[0]:
+                fits[name] = fit
     result = _result(points, fits, found, known, chosen, receiver, most)
     return replace(result, flags=result.flags | (RatesFlag.STATED_LIMITS_EXCEEDED if contradicted else 0))
 
@@ -337,21 +346,6 @@ def _prior(model: Model, known: Prior) -> Prior:
     if model == "all":
         return known
     return Prior(np.zeros(N_PARAMETERS), np.where([True, True, *FREE[model]], np.inf, 0.0))
-
-
-def _models(points: Points, found: RatioFit, known: Prior, chosen: Model) -> dict[Model, RatioFit]:
-    """What every model gives that the records allow, from the best solution of the chosen one."""
-    fits: dict[Model, RatioFit] = {}
-    for name, free in FREE.items():
-        if name == chosen:
-            fits[name] = found[:1]
-        elif points.settings > 1 or name == "lock-in":
-            prior = _prior(name, known)
-            held = np.array([True, True, *free])
-            fit = fit_ratios(points.points, prior, np.where(held, found.parameters[:1], prior.mean))
-            if not fit.singular[0]:
-                fits[name] = fit
-    return fits
 
 
 def _result(
@@ -651,7 +645,25 @@ def over_gain_times(
     times = _gain_times(found, prior, widen)
     if times.size < 2:
         return said
-    fits, at = _fits_at(times, found, data, prior)
+    held = np.arange(N_PARAMETERS) == _GAIN_TIME
+    rest = Prior(np.where(held, 0.0, prior.mean), np.where(held, 0.0, prior.sd))
+    starts = np.repeat(found.parameters, times.size, axis=0)
+    starts[:, _GAIN_TIME] = np.tile(times, len(found.parameters))
+    starts = np.concatenate([starts, with_distortion_alone(starts, data, rest)])
+    fits = fit_ratios(data, rest, starts)
+    z = (fits.parameters[:, 0] + 1j * fits.parameters[:, 1]).reshape(-1, times.size)
+    reach = _SAME_U * np.sqrt(np.trace(fits.covariance[:, :2, :2], axis1=-2, axis2=-1)).reshape(z.shape)
+    height = fits.chi_square.reshape(z.shape)
+    order = np.argsort(height, axis=0, kind="stable")
+    z, reach = (np.take_along_axis(each, order, axis=0) for each in (z, reach))
+    new = np.ones(z.shape, dtype=bool)
+    for row in range(1, len(z)):
+        close = np.abs(z[:row] - z[row]) < _SAME_SHARE * np.abs(z[row]) + reach[row]
+        new[row] = ~np.any(close & new[:row], axis=0)
+    different = np.empty_like(new)
+    np.put_along_axis(different, order, new, axis=0)
+    kept = np.flatnonzero(different.ravel())
+    fits, at = fits[kept], kept % times.size
     heights = 0.5 * (fits.chi_square - fits.chi_square.min()) / widen
     mean, sd = prior.mean[_GAIN_TIME], prior.sd[_GAIN_TIME]
     # a bound ends much sooner than a bell
@@ -678,34 +690,6 @@ def _gain_times(found: RatioFit, prior: Prior, widen: float) -> Floats:
         times.append(minimum[_GAIN_TIME] + math.sqrt(variance * widen) * _ABOUT_A_MINIMUM)
     rising = np.unique(np.concatenate(times))
     return np.asarray(rising[rising >= 0])
-
-
-def _fits_at(times: Floats, found: RatioFit, data: RatioData, prior: Prior) -> tuple[RatioFit, Indices]:
-    """Every minimum (F,) of the other parameters at each gain time, and the index of its time (F,)."""
-    held = np.arange(N_PARAMETERS) == _GAIN_TIME
-    rest = Prior(np.where(held, 0.0, prior.mean), np.where(held, 0.0, prior.sd))
-    starts = np.repeat(found.parameters, times.size, axis=0)
-    starts[:, _GAIN_TIME] = np.tile(times, len(found.parameters))
-    starts = np.concatenate([starts, with_distortion_alone(starts, data, rest)])
-    fits = fit_ratios(data, rest, starts)
-    kept = np.flatnonzero(_different(fits, times.size))
-    return fits[kept], kept % times.size
-
-
-def _different(fits: RatioFit, times: int) -> Bools:
-    """Which of the fits, all gain times from one start after the other, is not a better one found again."""
-    z = (fits.parameters[:, 0] + 1j * fits.parameters[:, 1]).reshape(-1, times)
-    reach = _SAME_U * np.sqrt(np.trace(fits.covariance[:, :2, :2], axis1=-2, axis2=-1)).reshape(z.shape)
-    height = fits.chi_square.reshape(z.shape)
-    order = np.argsort(height, axis=0, kind="stable")
-    z, reach = (np.take_along_axis(each, order, axis=0) for each in (z, reach))
-    new = np.ones(z.shape, dtype=bool)
-    for row in range(1, len(z)):
-        close = np.abs(z[:row] - z[row]) < _SAME_SHARE * np.abs(z[row]) + reach[row]
-        new[row] = ~np.any(close & new[:row], axis=0)
-    different = np.empty_like(new)
-    np.put_along_axis(different, order, new, axis=0)
-    return different.ravel()
 
 
 def _interval(weights: Floats, values: Floats, us: Floats) -> tuple[float, float]:

@@ -375,7 +375,18 @@ def _read(estimate: LockInEstimate, run: Run, some: slice) -> RatioBlock:
 
 def _block(estimate: LockInEstimate, rate: Floats, when: Floats) -> RatioBlock:
     """Records of an estimate (m,), with their rates (m,) and their places in the run."""
-    ratio, covariance = _as_measured(estimate)
+    # Such a mean holds the value of the positive sense. Which of the two it is shows in the backscatter phase,
+    # which is the same in both senses: the angle of -rho in the positive one, the negative angle of rho in the
+    # other.
+    rho, phase = estimate.complex_ratio, np.exp(1j * estimate.backscatter_phase)
+    size = np.maximum(np.abs(rho), 1e-300)
+    with np.errstate(invalid="ignore"):  # records without a beat are nan
+        as_it_is = np.abs(phase - np.conj(rho) / size)
+        mirrored = np.abs(phase + rho / size)
+    turned = estimate.rate_given & (estimate.input_rate < 0) & (mirrored < as_it_is)
+    off_diagonal = np.where(turned, -1.0, 1.0)[:, np.newaxis, np.newaxis]
+    covariance = estimate.complex_ratio_covariance * np.where(np.eye(2, dtype=bool), 1.0, off_diagonal)
+    ratio, covariance = np.where(turned, -np.conj(rho), rho), covariance
     # A gyro inside lock-in gives a constant or nothing but noise; other faults say nothing about its rate.
     no_beat = (estimate.flags & int(Flag.NO_BEAT | Flag.CONSTANT)) != 0
     return RatioBlock(
@@ -399,22 +410,6 @@ def _together(estimates: Sequence[LockInEstimate], run: Run) -> RatioBlock:
     slices = [slice(end - len(each), end) for each, end in zip(estimates, ends, strict=True)]
     parts = [_block(each, rate[some], when[some]) for each, some in zip(estimates, slices, strict=True)]
     return RatioBlock(*(np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(RatioBlock)))
-
-
-def _as_measured(estimate: LockInEstimate) -> tuple[Complexes, Floats]:
-    """rho and its covariance as the record has them; a mean of records in the negative sense is turned back."""
-    # Such a mean holds the value of the positive sense. Which of the two it is shows in the backscatter phase,
-    # which is the same in both senses: the angle of -rho in the positive one, the negative angle of rho in the
-    # other.
-    rho, phase = estimate.complex_ratio, np.exp(1j * estimate.backscatter_phase)
-    size = np.maximum(np.abs(rho), 1e-300)
-    with np.errstate(invalid="ignore"):  # records without a beat are nan
-        as_it_is = np.abs(phase - np.conj(rho) / size)
-        mirrored = np.abs(phase + rho / size)
-    turned = estimate.rate_given & (estimate.input_rate < 0) & (mirrored < as_it_is)
-    off_diagonal = np.where(turned, -1.0, 1.0)[:, np.newaxis, np.newaxis]
-    covariance = estimate.complex_ratio_covariance * np.where(np.eye(2, dtype=bool), 1.0, off_diagonal)
-    return np.where(turned, -np.conj(rho), rho), covariance
 
 
 SAME_RATE = 0.01
@@ -576,7 +571,7 @@ def gather(records: UsedRecords) -> Points:
         third_weight=np.sqrt(precision),
         reference=records.reference,
     )
-    return Points(records, places, points, rate_groups(rate))
+    return Points(records, places, points, groups_of(np.abs(rate), first_of_groups([np.abs(rate)], SAME_RATE)))
 
 
 def at_mean_times(points: Points, parameters: Floats) -> Points:
@@ -616,12 +611,6 @@ def _along(step: Complexes) -> Floats:
 
 
 _NEAR, _LARGEST_SQUARE = 0.04, 0.99
-
-
-def rate_groups(rate: Floats) -> Indices:
-    """Which of the different |W| each rate belongs to, 0, 1, ...; |W| within 1 % count as one rate."""
-    size = np.abs(rate)
-    return groups_of(size, first_of_groups([size], SAME_RATE))
 
 
 def first_of_groups(sizes: Iterable[Floats], share: float) -> Floats:

@@ -125,7 +125,7 @@ def predicted(parameters: Floats, data: RatioData) -> tuple[Complexes, Floats]:
     passed = (1 + x) ** 3 / ((1 + 3 * x) * np.abs(1 + x) ** 2)
     third = (
         size * third_harmonic_share(share) * np.asarray(np.where(lag < 0, 2 - passed, passed))
-        + own**2 * _third_by_low_pass(lag)
+        + own**2 * np.sign(lag) * ((1 + 2 * x) ** 2 / ((1 + 3 * x) * (1 + x)) - 1)
     ).real
     return np.asarray(ratio), np.asarray(third)
 
@@ -257,12 +257,6 @@ def third_order_by_third_harmonic(parameters: Floats, data: RatioData) -> tuple[
     weight = data.third_weight**2
     power = float(np.sum(weight * share**2))
     return (float(np.sum(weight * share * data.third)) / power, power**-0.5) if power > 0 else (0.0, np.inf)
-
-
-def _third_by_low_pass(lag: Floats) -> Complexes:
-    """What one pole leaves at the third harmonic, over rho^2: H(3f) H(f)/H(2f)^2 - 1."""
-    x = 1j * np.sqrt(np.abs(lag))
-    return np.asarray(np.sign(lag) * ((1 + 2 * x) ** 2 / ((1 + 3 * x) * (1 + x)) - 1))
 
 
 # --------------------

@@ -249,13 +249,7 @@ def _without_rounding(
 
 
 def _judged(
-    records: Records,
-    masks: Masks,
-    series: Series,
-    covariance: Floats,
-    left: Residual,
-    count: Floats,
-    flags: Ints,
+    records: Records, masks: Masks, series: Series, covariance: Floats, left: Residual, count: Floats, flags: Ints
 ) -> WaveformFit:
     """The fit with its noise and its flags; records that do not fit get a second chance with a motion."""
     free, power = count - N_PARAMETERS, left.power
@@ -425,6 +419,8 @@ def _followed(
             some, values, mask = some[undone], values[undone], mask[undone]
         for place in np.unique(some, return_index=True)[1]:
             row = some[[place]]
+            if not records.exact[row[0]]:
+                continue
             exactly = fit_moving_rate(values[place], mask[place])
             if exactly is None or exactly.variance[0] > WORTH_MOVING * variance[row[0]]:
                 continue

@@ -222,6 +222,7 @@ class Records:
     constant : (R,) all valid samples equal, or none valid
     lowest, highest : (R,) of `values`
     at_lowest, at_highest : (R,) how many of one in `THINNING` samples have that value
+    exact : (R,) whether the exact fit is worth its time where the rate moves
     """
 
     values: Samples
@@ -233,6 +234,7 @@ class Records:
     highest: Samples
     at_lowest: Counts
     at_highest: Counts
+    exact: Bools
 
     def take(self, rows: Indices) -> Records:
         """Some of the records."""
@@ -262,6 +264,7 @@ class Stack:
     volts: Samples
     shape: tuple[int, ...]
     nan_policy: NanPolicy
+    exact: Bools | None = None  # (R,): see `Records`; None: all
 
     @property
     def n_samples(self) -> int:
@@ -289,7 +292,13 @@ class Stack:
             centred = _Centred.of(raw, missing, kind)
             if not np.all(np.isfinite(centred.centre)):
                 raise ValueError("volts holds infinite values")
-        blank = _blank_samples(raw, centred)
+        blank = None
+        for row in np.flatnonzero(np.abs(centred.centre + centred.lowest - NO_DATA) < 1e-3):
+            codes = raw[row][np.isfinite(raw[row])]
+            if codes.max() <= LARGEST_CODE and np.array_equal(codes, np.rint(codes)):
+                blank = np.zeros(raw.shape, dtype=bool) if blank is None else blank
+                blank[row] = raw[row] == NO_DATA
+        blank = blank
         if blank is not None:
             missing = blank if missing is None else missing | blank
             centred = _Centred.of(raw, missing, kind)
@@ -297,18 +306,8 @@ class Stack:
         # Rounding of the mean leaves about 1e-16 of the level in a record that is really constant.
         constant = centred.highest - centred.lowest <= 1e-12 * np.abs(centred.centre)
         constant |= centred.count < 1
-        return Records(weights=weights, constant=constant, **vars(centred))
-
-
-def _blank_samples(raw: Samples, centred: _Centred) -> Bools | None:
-    """Where records of raw codes, of whatever type, hold what a scope sends where scan mode has no sample yet."""
-    blank = None
-    for row in np.flatnonzero(np.abs(centred.centre + centred.lowest - NO_DATA) < 1e-3):
-        codes = raw[row][np.isfinite(raw[row])]
-        if codes.max() <= LARGEST_CODE and np.array_equal(codes, np.rint(codes)):
-            blank = np.zeros(raw.shape, dtype=bool) if blank is None else blank
-            blank[row] = raw[row] == NO_DATA
-    return blank
+        exact = np.ones(len(raw), dtype=bool) if self.exact is None else self.exact[part]
+        return Records(weights=weights, constant=constant, exact=exact, **vars(centred))
 
 
 @dataclass(frozen=True)

@@ -185,14 +185,7 @@ def _equations(
 
 
 def _equations_of_few(
-    values: Samples,
-    mask: Samples,
-    path: Floats,
-    others: Floats,
-    place: Floats,
-    basis: _Basis,
-    *,
-    changing: bool,
+    values: Samples, mask: Samples, path: Floats, others: Floats, place: Floats, basis: _Basis, *, changing: bool
 ) -> tuple[Floats, Samples, Samples]:
     """Products of all derivatives and the residual in each interval, (R, m, K, K); residual; rates."""
     windows = sliding_window_view(path, 4, axis=1)

@@ -14,14 +14,7 @@ from analysis.flags import Flag
 from analysis.waveform.residuals import line_stands_out
 from analysis.waveform.series import Series, data_sums
 from analysis.waveform.smooth_phase import AT_ENDS, OTHERS, Paths, fit_smooth_phase, knots_of
-from analysis.waveform.trajectory import (
-    HIGHEST,
-    Fitted,
-    SampledRecord,
-    Terms,
-    Trajectory,
-    polynomials,
-)
+from analysis.waveform.trajectory import HIGHEST, Fitted, SampledRecord, Terms, Trajectory, polynomials
 
 SLOW_TERMS = 4  # polynomials of amplitude and offset to begin with: up to the third degree
 

@@ -27,10 +27,7 @@ from station.errors import EXIT_FAIL, EXIT_OK, EXIT_OUTPUT
 RUN = Path(__file__).parents[2] / "tests" / "golden" / "single.sqlite"
 BENCH = "[measurement]\nrecords = 1\ntilt_records = 1\nrates_over_lock_in = [8.0]\nboth_senses = false\n"
 BENCH += '[table]\nboth_senses = false\n[gyro]\nname = "Kreisel Ω 中"\n'
-QUICK = (
-    ("analyze", "run.sqlite"),
-    ("acquire", "--config", "my.toml", "--jsonl"),
-)
+QUICK = (("analyze", "run.sqlite"), ("acquire", "--config", "my.toml", "--jsonl"))
 SLOW = (
     ("list",),
     ("analyze", "run.sqlite", "--jsonl"),

@@ -11,15 +11,7 @@ import numpy as np
 from analysis import combine_estimates, estimate_lock_in
 from analysis.arrays import Bools, Floats
 from benchmarks.estimator.accuracy import PERIOD_EDGES, RATE_EDGES, within
-from benchmarks.estimator.damage import (
-    as_volts,
-    clean,
-    many_periods,
-    spiked,
-    too_large,
-    with_gap,
-    with_ripple,
-)
+from benchmarks.estimator.damage import as_volts, clean, many_periods, spiked, too_large, with_gap, with_ripple
 from benchmarks.estimator.gyros import N_SAMPLES, Gyros, codes_of, draw_gyros, with_ratio
 from benchmarks.estimator.noise import first_order, one_over_f
 from benchmarks.estimator.progress import Progress
@@ -225,7 +217,4 @@ CASES = (
     Case("phase wanders by 0.1 to 3 rad", many_periods, with_ripple, _by_periods_and_rate, share=SLOW),
 )
 
-COMBINED = (
-    ("ten records combined, grid", 0.0),
-    ("ten records combined, ratio 1 of its uncertainty", 1.0),
-)
+COMBINED = (("ten records combined, grid", 0.0), ("ten records combined, ratio 1 of its uncertainty", 1.0))

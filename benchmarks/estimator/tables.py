@@ -81,10 +81,7 @@ def by_rate_table(grid: GridResult) -> str:
 
 def cells_table(grid: GridResult) -> str:
     """rms error over bound of our estimator in every cell, with its standard error."""
-    header = [
-        "W/WL",
-        *(f"{low:g}-{high:g} periods" for low, high in pairwise(PERIOD_EDGES)),
-    ]
+    header = ["W/WL", *(f"{low:g}-{high:g} periods" for low, high in pairwise(PERIOD_EDGES))]
     rows = []
     for number, row in enumerate(cells_of(grid, grid.errors[0])):
         rows.append([f"{RATE_EDGES[number]:g}-{RATE_EDGES[number + 1]:g}", *(_cell(cell) for cell in row)])

@@ -109,13 +109,7 @@ def print_speed(seconds: float) -> None:
 
 
 def mean_output(
-    design: LoopDesign,
-    rate: float,
-    seconds: float,
-    *,
-    step: float = 0.0,
-    seed: int = 1,
-    coil: FibreCoil = COIL,
+    design: LoopDesign, rate: float, seconds: float, *, step: float = 0.0, seed: int = 1, coil: FibreCoil = COIL
 ) -> float:
     """Mean output of a settled gyro, counts."""
     gyro = ClosedLoop(coil, design, seed)

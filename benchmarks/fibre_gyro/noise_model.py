@@ -40,11 +40,7 @@ def bound() -> Floats:
     omega = (np.arange(COUNT // 2) + 0.5) * 2 * np.pi / COUNT
     square = 2 - 2 * np.cos(omega)
     parts = np.array(
-        [
-            N**2 / INTERVAL * square,
-            K**2 * INTERVAL * (2 + np.cos(omega)) / 3,
-            Q**2 / INTERVAL**2 * square**2,
-        ]
+        [N**2 / INTERVAL * square, K**2 * INTERVAL * (2 + np.cos(omega)) / 3, Q**2 / INTERVAL**2 * square**2]
     )
     shares = parts / parts.sum(axis=0)
     return np.asarray(np.sqrt(np.diag(np.linalg.inv(shares @ shares.T))) / 2)

@@ -249,10 +249,7 @@ REAL_GYROS = (
         axes=3,
     ),
     RealGyro(
-        "fibre_gyro_frames",
-        "ascii_lines",
-        text_with_sum,
-        lambda n, raw: (n % 65536, (raw % 0x7FFFFF, 25.31, 0)),
+        "fibre_gyro_frames", "ascii_lines", text_with_sum, lambda n, raw: (n % 65536, (raw % 0x7FFFFF, 25.31, 0))
     ),
     RealGyro("fibre_gyro_frames", "binary_frames", crc_frames, lambda n, raw: (n % 65536, (raw, 25.31, 0x80))),
 )

@@ -6,16 +6,7 @@ from collections.abc import Sequence
 
 from benchmarks.hostile.measure import Outcome, common_flags
 
-_HEAD = (
-    "class",
-    "kind",
-    "unwarned",
-    "wrong",
-    "refused",
-    "covered",
-    "u/WL",
-    "flags",
-)
+_HEAD = ("class", "kind", "unwarned", "wrong", "refused", "covered", "u/WL", "flags")
 
 
 def records_table(outcomes: Sequence[Outcome], n_records: int, seeds: Sequence[int]) -> str:

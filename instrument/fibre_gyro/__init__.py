@@ -10,14 +10,7 @@ from instrument.fibre_gyro.frame_fields import ANGLE_UNITS, OUTPUT_UNITS, TABLE_
 from instrument.fibre_gyro.frame_format import FrameFormat, parse_frame_format
 from instrument.fibre_gyro.link import FibreGyroLink
 from instrument.fibre_gyro.logs import GyroLog, LogChoices, read_gyro_log, read_log, write_gyro_log
-from instrument.fibre_gyro.recording import (
-    HOST_CLOCK_U,
-    Gap,
-    HostClock,
-    Losses,
-    Recording,
-    counts_per_unit,
-)
+from instrument.fibre_gyro.recording import HOST_CLOCK_U, Gap, HostClock, Losses, Recording, counts_per_unit
 
 __all__ = [
     "ANGLE_UNITS",

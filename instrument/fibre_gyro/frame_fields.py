@@ -400,7 +400,16 @@ def read_fields(
         )
     if len({one.unit for one in outputs}) > 1:
         raise table.error("fields", "must give all outputs in the same unit")
-    _check_bits(table, fields)
+    open_bits = 0
+    for number, one in enumerate([*fields, Field(UNUSED, "unsigned", 1, "big")]):
+        if one.bits:
+            open_bits += one.bits
+        elif open_bits % 8:
+            raise table.error(
+                f"fields[{number}]", f"ends {open_bits} bits in succession, which are no whole bytes"
+            )
+        else:
+            open_bits = 0
     _check_cycles(table, fields, counter)
     return tuple(fields), counter, status
 
@@ -514,20 +523,6 @@ def _read_status(entry: Description) -> StatusRule:
     rule = StatusRule(entry.whole("good_mask", 0), entry.whole("good_value", 0))
     entry.refuse(bool(rule.value & ~rule.mask), "good_value", "has bits that good_mask has not")
     return rule
-
-
-def _check_bits(table: Description, fields: list[Field]) -> None:
-    """Fields of bits fill whole bytes."""
-    open_bits = 0
-    for number, one in enumerate([*fields, Field(UNUSED, "unsigned", 1, "big")]):
-        if one.bits:
-            open_bits += one.bits
-        elif open_bits % 8:
-            raise table.error(
-                f"fields[{number}]", f"ends {open_bits} bits in succession, which are no whole bytes"
-            )
-        else:
-            open_bits = 0
 
 
 def _check_cycles(table: Description, fields: list[Field], counter: CounterRule | None) -> None:

@@ -252,6 +252,7 @@ def try_format(name: str, layout: FrameFormat, capture: Capture) -> Trial:
     rate = found.output_rate_hz if found is not None else None
     if rate is None and capture.timed and capture.seconds > 0:
         rate = index / capture.seconds
+    fixed = len(layout.header) + len(layout.ending) + (layout.check.size if layout.check else 0)
     return Trial(
         name=name,
         frames=tally.good + tally.unusable,
@@ -267,7 +268,7 @@ def try_format(name: str, layout: FrameFormat, capture: Capture) -> Trial:
         clock=found,
         explained=explained / received if tally.good + tally.unusable else 0.0,
         doubts=doubts_about(layout, rows),
-        evidence_bits=layout.evidence_bits if layout.kind == "binary" else _text_evidence(layout),
+        evidence_bits=layout.evidence_bits if layout.kind == "binary" else 8 * fixed + len(layout.fields),
     )
 
 
@@ -276,12 +277,6 @@ def _pieces(capture: Capture) -> list[tuple[float, bytes]]:
         return list(capture.pieces)
     data = capture.data
     return [(0.0, data[begin : begin + _PIECE]) for begin in range(0, len(data), _PIECE)]
-
-
-def _text_evidence(layout: FrameFormat) -> int:
-    return 8 * (len(layout.header) + len(layout.ending) + (layout.check.size if layout.check else 0)) + len(
-        layout.fields
-    )
 
 
 # --------------------

@@ -660,7 +660,10 @@ def clock_of_counter(counter: Floats) -> Places:
     steps = np.diff(numbers)
     if np.any(steps < 0):
         largest = int(numbers.max())
-        modulus = largest + 1 if _wraps_at(numbers, steps, largest + 1) else 1 << largest.bit_length()
+        # most wraps go on by one step if the counter begins again behind its largest
+        behind = np.flatnonzero(steps < 0)
+        usual = np.median((numbers[behind + 1] - numbers[behind]) % (largest + 1))
+        modulus = largest + 1 if usual == np.median(steps[steps > 0]) else 1 << largest.bit_length()
         steps = steps % modulus
     if np.any(steps == 0):
         raise ValueError(str(int(np.flatnonzero(steps == 0)[0]) + 1))
@@ -668,12 +671,6 @@ def clock_of_counter(counter: Floats) -> Places:
     if each > 1 and not np.any(steps % each):
         steps //= each
     return np.concatenate([[0], np.cumsum(steps)]).astype(np.int64)
-
-
-def _wraps_at(numbers: Places, steps: Places, modulus: int) -> bool:
-    """Whether most wraps go on by one step if the counter begins again at `modulus`."""
-    behind = np.flatnonzero(steps < 0)
-    return bool(np.median((numbers[behind + 1] - numbers[behind]) % modulus) == np.median(steps[steps > 0]))
 
 
 def line_through(places: Places, times: Floats) -> float:

@@ -124,7 +124,7 @@ class RecordBuilder:
                 return
             if isinstance(event, Damage):
                 self._damaged_before += event.frames
-                if self._in_window():
+                if self.index >= self._skip - 1:
                     self._damaged += event.frames
                     self._reasons[event.reason] += event.frames
             elif isinstance(event, Frame):
@@ -192,9 +192,6 @@ class RecordBuilder:
         if self._layout.poll is not None:
             return "polls"
         return "counter" if self._layout.has_counter else "frames"
-
-    def _in_window(self) -> bool:
-        return self.index >= self._skip - 1
 
     def _take_frame(self, frame: Frame, host_s: float, polled: int | None) -> None:
         tick: Tick | None

@@ -94,7 +94,9 @@ class SimulatedTDS2014(ScopeState):
                     identified = bool(action and action.ends_message)
                     if deadlocked:
                         continue
-                    answers.append(self._render(answer))
+                    answers.append(
+                        join_leaves(answer, header=self.panel.flag("HEADER"), verbose=self.panel.flag("VERBOSE"))
+                    )
                     queued += sum(len(value) for _, value in answer)
                     if not stream and unread > Guess.INPUT_BUFFER and queued > Guess.OUTPUT_QUEUE:
                         deadlocked = True  # nobody can read or write any more
@@ -173,10 +175,6 @@ class SimulatedTDS2014(ScopeState):
         else:
             raise Refusal(Guess.QUERY_HAS_NO_COMMAND)
         return iter(())
-
-    def _render(self, leaves: list[Leaf]) -> str:
-        """An answer with the headers of this moment: a later command of the message changes none of it."""
-        return join_leaves(leaves, header=self.panel.flag("HEADER"), verbose=self.panel.flag("VERBOSE"))
 
     def turn_knob(self, command: str) -> None:
         """What somebody at the front panel does, as a program message; nothing while it is locked."""

@@ -3,11 +3,4 @@
 from instrument.tek_files.csv import csv_text, parse_csv
 from instrument.tek_files.read import TekFile, parse_isf, read_tek_file, read_waveform
 
-__all__ = [
-    "TekFile",
-    "csv_text",
-    "parse_csv",
-    "parse_isf",
-    "read_tek_file",
-    "read_waveform",
-]
+__all__ = ["TekFile", "csv_text", "parse_csv", "parse_isf", "read_tek_file", "read_waveform"]

@@ -37,7 +37,7 @@ def parse_cells(rows: list[list[str]]) -> tuple[Waveform, dict[str, str]]:
     if "Vertical Scale" in header:
         scale = _positive(header, "Vertical Scale")
     else:
-        scale = nice_level(spacing_of(values)) * LEVELS_PER_DIVISION
+        scale = _nearest(spacing_of(values), "level", _LEVEL_CLOSE) * LEVELS_PER_DIVISION
     if "Sample Interval" in header:
         interval = _positive(header, "Sample Interval")
     else:
@@ -353,11 +353,6 @@ def spacing_of(values: NDArray[np.float64]) -> float:
         if np.abs(above / spacing - np.rint(above / spacing)).max() < _OFF:
             return spacing
     raise FileFormatError("the values do not lie on the levels of a converter: they were edited or calculated")
-
-
-def nice_level(spacing: float) -> float:
-    """The level of a 1-2-5 scale next to a spacing that a few decimals give; FileFormatError if there is none."""
-    return _nearest(spacing, "level", _LEVEL_CLOSE)
 
 
 def nice_interval(interval: float) -> float:

@@ -75,7 +75,7 @@ def read_tek_file(path: str | os.PathLike[str]) -> TekFile:
 
 
 def _parsed(file: Path, content: bytes) -> tuple[Waveform, str, dict[str, str]]:
-    if is_isf(content):
+    if content[:64].lstrip().upper().startswith((b":WFMP", b"WFMP")):
         return parse_isf(content), "isf", {}
     if is_curve(content):
         preamble = file.with_suffix(PREAMBLE_ENDING)
@@ -165,12 +165,6 @@ def is_curve(content: bytes) -> bool:
     start = content.lstrip()[:32].upper()
     start = start.removeprefix(b":").removeprefix(b"CURVE").removeprefix(b"CURV").lstrip()
     return start[:1] == b"#" and start[1:2].isdigit()
-
-
-def is_isf(content: bytes) -> bool:
-    """Whether a file begins with a preamble that has headers."""
-    start = content[:64].lstrip().upper()
-    return start.startswith((b":WFMP", b"WFMP"))
 
 
 def _curve_position(content: bytes) -> int:

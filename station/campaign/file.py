@@ -224,7 +224,16 @@ def _settings(
         found = model.model_validate(values)
     except ValidationError as error:
         for mistake in error.errors(include_url=False, include_context=False):
-            _tell_mistake(reading, mistake, place, step, model, unit)
+            loc = [str(part) for part in mistake["loc"] if part not in ("value", "auto")]
+            if mistake["type"] == "extra_forbidden":
+                text = f"no such setting{_meant(loc, [model])}"
+            else:
+                text = f"{mistake['msg'][0].lower()}{mistake['msg'][1:]}, not {mistake['input']!r:.80}"
+            places = (["step", str(place), "settings", *loc], ["unit", unit, *loc], ["bench", *loc])
+            written = read_toml(reading.path)
+            where = next((one for one in places if _is_written(written, one)), places[0])
+            if f"{'.'.join(where)}" not in {one.split(" (line")[0].split(":")[0] for one in reading.wrong}:
+                reading.tell(where, text if where is places[0] else f"{text} (for step {step.name!r})")
         return None
     try:
         checked: BaseModel = kind.kind.check(found, reading.path)
@@ -232,22 +241,6 @@ def _settings(
         reading.wrong.append(f"step {step.name!r}: {str(error).removeprefix(f'{reading.path}: ')}")
         return None
     return checked
-
-
-def _tell_mistake(
-    reading: _FileReading, mistake: Any, place: int, step: StepSection, model: type[BaseModel], unit: str
-) -> None:
-    """Put a mistake where the value was written: in the step, with the unit, or at the bench."""
-    loc = [str(part) for part in mistake["loc"] if part not in ("value", "auto")]
-    if mistake["type"] == "extra_forbidden":
-        text = f"no such setting{_meant(loc, [model])}"
-    else:
-        text = f"{mistake['msg'][0].lower()}{mistake['msg'][1:]}, not {mistake['input']!r:.80}"
-    places = (["step", str(place), "settings", *loc], ["unit", unit, *loc], ["bench", *loc])
-    written = read_toml(reading.path)
-    where = next((one for one in places if _is_written(written, one)), places[0])
-    if f"{'.'.join(where)}" not in {one.split(" (line")[0].split(":")[0] for one in reading.wrong}:
-        reading.tell(where, text if where is places[0] else f"{text} (for step {step.name!r})")
 
 
 def _is_written(values: Any, place: Sequence[str]) -> bool:

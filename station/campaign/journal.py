@@ -405,16 +405,7 @@ def step_as_json(outcome: StepOutcome, directory: Path) -> dict[str, Any]:
     }
 
 
-_KEPT = (
-    "verdict",
-    "run_sha256",
-    "remarks",
-    "started_at",
-    "ended_at",
-    "elapsed_s",
-    "attempts",
-    "conditions",
-)
+_KEPT = ("verdict", "run_sha256", "remarks", "started_at", "ended_at", "elapsed_s", "attempts", "conditions")
 
 
 def _step_from_json(line: Mapping[str, Any], step: PlannedStep, directory: Path) -> StepOutcome:

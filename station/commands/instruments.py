@@ -79,10 +79,7 @@ def list_command(lan: bool, as_json: bool) -> int:
 )
 @click.option("--screen/--no-screen", default=True, help="Whether to save the picture (80 s on RS-232).")
 @click.option(
-    "--watch",
-    type=click.FloatRange(min=0.1),
-    metavar="SECONDS",
-    help="Repeat every SECONDS until Ctrl-C.",
+    "--watch", type=click.FloatRange(min=0.1), metavar="SECONDS", help="Repeat every SECONDS until Ctrl-C."
 )
 @click.option("--numbers", "numbers_only", is_flag=True, help="Only show the numbers; write no files.")
 @transcript_option

@@ -85,9 +85,7 @@ def _bench_options(function: F) -> F:
     """Add the options that say what to acquire with, and how much."""
     options = (
         click.option(
-            "--resource",
-            metavar="NAME",
-            help="VISA name of the oscilloscope. Without one the bench is simulated.",
+            "--resource", metavar="NAME", help="VISA name of the oscilloscope. Without one the bench is simulated."
         ),
         click.option(
             "--scale-factor",

@@ -205,7 +205,20 @@ def study_command(figures: tuple[int, ...], out: Path | None, kind: str, as_json
     if as_json:
         print_json(study_document(study, sentences, files))
     else:
-        _print_study(study, sentences, files)
+        from station.live.console import stdout_console
+        from station.report.show import text_table
+        from station.results.result import TextTable
+        from station.study import study_tables
+
+        console = stdout_console()
+        for table in study_tables(study):
+            console.print(table.title, style="bold")
+            console.print(text_table(TextTable(table.columns, tuple(map(tuple, table.texts())))))
+            console.print()
+        for sentence in sentences:
+            console.print(f"• {sentence}")
+        for file in files:
+            say(f"wrote   {file}")
     return 0
 
 
@@ -224,20 +237,3 @@ def _write(out: Path, study: Study, sentences: list[str], kind: str) -> list[str
     document = study_document(study, sentences, [*files, str(path)])
     path.write_text(json.dumps(plain(document), indent=1, allow_nan=False), encoding="utf-8")
     return [*files, str(path)]
-
-
-def _print_study(study: Study, sentences: list[str], files: list[str]) -> None:
-    from station.live.console import stdout_console
-    from station.report.show import text_table
-    from station.results.result import TextTable
-    from station.study import study_tables
-
-    console = stdout_console()
-    for table in study_tables(study):
-        console.print(table.title, style="bold")
-        console.print(text_table(TextTable(table.columns, tuple(map(tuple, table.texts())))))
-        console.print()
-    for sentence in sentences:
-        console.print(f"• {sentence}")
-    for file in files:
-        say(f"wrote   {file}")

@@ -53,15 +53,6 @@ class Table(Protocol):
         """Yield rows: what stands in the columns, and the bytes that were sent."""
 
 
-@dataclass
-class _Stretch:
-    """Rows of one source, one behind the other."""
-
-    table: Table
-    first: int
-    last: int
-
-
 class DatasetSource(Source):
     """A source as it was when it was exported."""
 
@@ -76,17 +67,17 @@ class DatasetSource(Source):
             bool(about["is_run"]),
             int(about["records"]),
         )
-        self._stretches: list[_Stretch] = []
+        self._stretches: list[tuple[Table, range]] = []  # rows of one table, one behind the other
         self._least, self._most = math.inf, -math.inf
 
     def add(self, table: Table, row: int, number: int) -> None:
         """Take a row to those that are its own."""
         self._least, self._most = min(self._least, number), max(self._most, number)
-        stretch = self._stretches[-1] if self._stretches else None
-        if stretch is None or stretch.table is not table or stretch.last != row:
-            self._stretches.append(_Stretch(table, row, row + 1))
+        before, rows = self._stretches[-1] if self._stretches else (None, range(0))
+        if before is table and rows.stop == row:
+            self._stretches[-1] = table, range(rows.start, row + 1)
         else:
-            stretch.last += 1
+            self._stretches.append((table, range(row, row + 1)))
 
     @property
     def span(self) -> tuple[int, int]:
@@ -101,7 +92,7 @@ class DatasetSource(Source):
         self.damaged = (*missing_records(numbers), *damaged_facts(self.unusable))
 
     def __len__(self) -> int:
-        return sum(one.last - one.first for one in self._stretches)
+        return sum(len(rows) for _, rows in self._stretches)
 
     def records(self, numbers: range | None = None) -> Iterator[SavedRecord]:
         """Read the records one at a time; see `Source`."""
@@ -112,8 +103,8 @@ class DatasetSource(Source):
         yield from self._records_there(numbers)
 
     def _records_there(self, numbers: range | None = None) -> Iterator[SavedRecord]:
-        for one in self._stretches:
-            for row, payload in one.table.rows(one.first, one.last, numbers):
+        for table, rows in self._stretches:
+            for row, payload in table.rows(rows.start, rows.stop, numbers):
                 if numbers is None or int(row["number"]) in numbers:
                     yield record_of(row, payload)
 
@@ -145,11 +136,6 @@ def is_dataset(place: str | Path) -> bool:
     return ending in _ENDINGS
 
 
-def tables_of(place: str | Path) -> list[Table]:
-    """Return the files of a data set: one, or the parts in a folder or below a URL that ends with ``/``."""
-    return [_table(one) for one in parts_of(place)]
-
-
 def parts_of(place: str | Path) -> list[str]:
     """Return path or URL of each file of a data set."""
     text = str(place)
@@ -171,7 +157,7 @@ def sources_of(place: str | Path) -> list[DatasetSource]:
     """Return the sources that a data set was exported from, in their order."""
     found: dict[str, DatasetSource] = {}
     seen: dict[int, DatasetSource] = {}  # by the text as one object: it is not taken apart for each row
-    for table in tables_of(place):
+    for table in map(_table, parts_of(place)):
         texts: list[str] = []
         for row, (about, number) in enumerate(table.heads()):
             source = seen.get(id(about))

@@ -23,15 +23,7 @@ from analysis import (
 from analysis.dead_band import COUNTED_U, DeadBandFlag
 from analysis.lock_in_run import rows_of_batches
 from instrument import Waveform
-from station.dead_band.take import (
-    DEAD_BAND,
-    PURPOSE,
-    DeadBandSettings,
-    fastest_table_rate,
-    seconds,
-    take,
-    watch,
-)
+from station.dead_band.take import DEAD_BAND, PURPOSE, DeadBandSettings, fastest_table_rate, seconds, take, watch
 from station.errors import NoUsableSignal
 from station.measurements import Measurement
 from station.report.figure import ACCENT, INK, LINE, SECOND, SOFT, legend_above, svg_element

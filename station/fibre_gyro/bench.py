@@ -248,9 +248,13 @@ class SimulatedFogBench:
         # mean of the cosine over each period
         north = np.diff(np.sin(azimuth)) / np.diff(azimuth) if table else np.full(count, np.cos(azimuth[0]))
         vertical = table + EARTH_RATE_DPS * np.sin(latitude)
+        if position := conditions.get("position"):  # x to the north, z up
+            along = {"x": np.cos(latitude), "y": 0.0, "z": np.sin(latitude)}[position[1]]
+            end, vertical, tilt = int(f"{position[0]}1"), EARTH_RATE_DPS * along, 0.0
         on_axis = end * np.cos(tilt) * vertical + np.sin(tilt) * EARTH_RATE_DPS * np.cos(latitude) * north
         warm, times = self._warm(planned, count, period), np.asarray(edges[:-1] + period / 2, dtype=np.float64)
         change = simulation.temperature_coefficient_ppm * warm + simulation.scale_curvature_ppm_per_k2 * warm**2
+        change += simulation.scale_ppm_per_stimulus * float(conditions.get("stimulus", 0.0))
         return as_the_gyro_sees(np.asarray(on_axis), self._settings) * (1 + change / _PPM) + self._bias(
             planned, times, warm
         )
@@ -269,6 +273,7 @@ class SimulatedFogBench:
         simulation, conditions = self._settings.simulation, planned.conditions
         bias = simulation.bias_dph_per_k * warm + simulation.bias_dph_per_k2 * warm**2
         bias = bias + simulation.bias_dph_per_k_per_min * float(conditions.get("ramp_c_per_min", 0.0))
+        bias = bias + simulation.bias_dph_per_stimulus * float(conditions.get("stimulus", 0.0))
         if (run := conditions.get("run")) is not None:
             bias = bias + self._random(f"bias at switch-on {run}").normal(0, simulation.switch_on_bias_dph)
         if (since := conditions.get("since_on_s")) is not None:

@@ -54,15 +54,7 @@ from station.fibre_gyro.segments import (
 from station.fibre_gyro.settings import FogSettings
 from station.report.figure import HALF, SOFT, WIDE, legend_above, svg_element
 from station.results.quantity import Quantity, QuantityGroup, document, repeated
-from station.results.result import (
-    Excluded,
-    PlacedFigure,
-    Result,
-    Section,
-    TextTable,
-    ppm,
-    with_uncertainty,
-)
+from station.results.result import Excluded, PlacedFigure, Result, Section, TextTable, ppm, with_uncertainty
 from station.runs.store import SavedRun
 
 if TYPE_CHECKING:

@@ -153,6 +153,8 @@ def examine(settings: FogSettings) -> list[Check]:
 #     number_u           optional, selfcal: its standard uncertainty, how well it stands for the rate
 #     step_codes         eps: the injected step in codes
 #     run, temperature_c optional, figures: name of the run and its temperature
+#     stimulus           sensitivity: value of the stimulus; or
+#     position           which of +x, -x, +y, -y, +z, -z of a fixture the input axis had
 #     since_on_s         optional, figures: 0 for the output from switching on, for the transient
 
 
@@ -169,8 +171,9 @@ _NUMBERS = (
     "number_u",
     "step_codes",
     "temperature_c",
+    "stimulus",
 )
-_COLUMNS = ("file", "axis", "end_up", "run", *_NUMBERS)
+_COLUMNS = ("file", "axis", "end_up", "run", "position", *_NUMBERS)
 
 LogRow = dict[str, Any]
 Named = Callable[[Sequence[LogRow]], Sequence[tuple[str, dict[str, Any]]]]

@@ -391,7 +391,12 @@ def segments_of(run: SavedRun, purpose: str) -> tuple[Segment, ...]:
 
 def new_record(key: str, conditions: Mapping[str, Any], recording: Recording) -> NewRecord:
     """Return a record to be saved; the conditions hold its ``purpose``."""
-    columns = _columns_of(recording)
+    columns = {"times": recording.times, "counts": recording.counts}
+    if recording.temperature is not None:
+        columns["temperature"] = recording.temperature
+    if recording.status is not None:
+        columns["status"] = recording.status.astype(np.float64)
+    columns = columns | {f"{_EXTRA}{name}": values for name, values in recording.extra.items()}
     payload = zlib.compress(np.stack(list(columns.values())).astype("<f8").tobytes(), 1)
     header = {
         "columns": list(columns),
@@ -436,15 +441,6 @@ def _by_encoder(segment: Segment) -> Segment:
     if "begin_s" in conditions:
         conditions["begin_s"] += float(recording.times[turn.first] - recording.times[0])
     return replace(segment, conditions=conditions, recording=part)
-
-
-def _columns_of(recording: Recording) -> dict[str, NDArray[np.float64]]:
-    columns = {"times": recording.times, "counts": recording.counts}
-    if recording.temperature is not None:
-        columns["temperature"] = recording.temperature
-    if recording.status is not None:
-        columns["status"] = recording.status.astype(np.float64)
-    return columns | {f"{_EXTRA}{name}": values for name, values in recording.extra.items()}
 
 
 def _recording_from(described: dict[str, Any], payload: bytes) -> Recording:

@@ -705,9 +705,7 @@ def _slope_table(found: SelfcalEvaluation) -> TextTable:
         ("static output after less before", with_uncertainty(net.drift, net.drift_u)),
     ]
     if reference is not None:
-        rows.append(
-            (f"K, {reference.source}", with_uncertainty(reference.scale_factor, reference.scale_factor_u)),
-        )
+        rows.append((f"K, {reference.source}", with_uncertainty(reference.scale_factor, reference.scale_factor_u)))
     return TextTable(("", "value"), tuple(rows))
 
 

@@ -128,6 +128,8 @@ class FogSimulationSettings(SettingsSection):
     bias_dph_per_k: Finite
     bias_dph_per_k2: Finite
     bias_dph_per_k_per_min: Finite
+    bias_dph_per_stimulus: Finite
+    scale_ppm_per_stimulus: Finite
     temperature_noise_c: NotNegative
     switch_on_bias_dph: NotNegative
     warm_up_bias_dph: Finite

@@ -80,7 +80,26 @@ def sections(found: TableEvaluation, run: SavedRun, settings: FogSettings, resul
         sentences = tuple(said for said in [noise_sentence(one)] if said)
         table = budget_table(f"K({one.axis})", axis["budget"])
         made.append(Section(f"Budget of K({one.axis})", sentences=sentences, table=table))
-    return [*made, staircase_section(settings), Section("Runs", table=_run_table(found))]
+    rows = tuple(
+        (
+            key,
+            f"{window.turns}",
+            f"{window.duration_s:.3f}",
+            f"{window.total:.10g}",
+            with_uncertainty(window.mean, window.mean_u),
+            f"{residual:+.3g}",
+        )
+        for one in found.axes
+        for key, window, residual in zip(one.keys, one.windows, one.fit.residual_ppm, strict=True)
+    )
+    return [
+        *made,
+        staircase_section(settings),
+        Section(
+            "Runs",
+            table=TextTable(("run", "turns", "window, s", "sum, counts", "mean, counts", "residual, ppm"), rows),
+        ),
+    ]
 
 
 def _ladder_section(found: TableEvaluation) -> Section:
@@ -146,22 +165,6 @@ def _difference_section(made: list[tuple[AxisResult, RateDifferences]]) -> Secti
     header = ("difference for", "N, counts", "u from noise", "u from irreproducibility", "off the fit")
     figure = PlacedFigure(_differences_svg(made), caption)
     return Section("Numbers of small rates", text, figures=(figure,), table=TextTable(header, tuple(rows)))
-
-
-def _run_table(found: TableEvaluation) -> TextTable:
-    rows = tuple(
-        (
-            key,
-            f"{window.turns}",
-            f"{window.duration_s:.3f}",
-            f"{window.total:.10g}",
-            with_uncertainty(window.mean, window.mean_u),
-            f"{residual:+.3g}",
-        )
-        for one in found.axes
-        for key, window, residual in zip(one.keys, one.windows, one.fit.residual_ppm, strict=True)
-    )
-    return TextTable(("run", "turns", "window, s", "sum, counts", "mean, counts", "residual, ppm"), rows)
 
 
 def _output_svg(found: TableEvaluation) -> str:

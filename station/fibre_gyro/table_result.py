@@ -246,10 +246,7 @@ def _leave_out_single_senses(windows: dict[str, tuple[Segment, WindowMean]], lef
 
 
 def _axis_result(
-    axis: str,
-    windows: dict[str, tuple[Segment, WindowMean]],
-    settings: FogSettings,
-    model: NoiseModel | None,
+    axis: str, windows: dict[str, tuple[Segment, WindowMean]], settings: FogSettings, model: NoiseModel | None
 ) -> AxisResult | None:
     if len(windows) < 2:
         return None

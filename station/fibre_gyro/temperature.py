@@ -228,16 +228,12 @@ def _scale_points(
     off = PPM * (turned.mean / nominal - known / 3600 - rate) / rate
     off_u = PPM * turned.mean_u / nominal / np.abs(rate)
     bias_u = PPM * known_u / 3600 / np.abs(rate)
-    return _in_pairs(TemperaturePoints(off, off_u, turned.at_s, warm, change), rate, bias_u)
-
-
-def _in_pairs(points: TemperaturePoints, rate_dps: Floats, bias_u: Floats) -> TemperaturePoints:
-    """Mean of neighbours in opposite senses, free of the bias; with one alone the bias counts in u."""
+    points = TemperaturePoints(off, off_u, turned.at_s, warm, change)
     columns = np.column_stack([points.value, points.value_u, points.at_s, points.temperature, points.rate])
     rows, place = [], 0
-    while place < rate_dps.size:
+    while place < rate.size:
         first = columns[place]
-        if place + 1 < rate_dps.size and abs(rate_dps[place] + rate_dps[place + 1]) < 0.01 * abs(rate_dps[place]):
+        if place + 1 < rate.size and abs(rate[place] + rate[place + 1]) < 0.01 * abs(rate[place]):
             both = (first + columns[place + 1]) / 2
             both[1] = np.hypot(first[1], columns[place + 1][1]) / 2
             rows.append(both)
@@ -824,11 +820,7 @@ def named(rows: Sequence[LogRow], settings: FogSettings) -> list[NamedSegment]:
 
 
 def _named(row: LogRow, settings: FogSettings) -> NamedSegment:
-    axis, rate, warm = (
-        row.get("axis", _own(settings).axis),
-        row.get("rate_dps", 0.0),
-        row.get("temperature_c"),
-    )
+    axis, rate, warm = (row.get("axis", _own(settings).axis), row.get("rate_dps", 0.0), row.get("temperature_c"))
     conditions = {
         "axis": axis,
         "end_up": row["end_up"],

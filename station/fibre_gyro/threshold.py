@@ -353,7 +353,7 @@ def _sentences(found: ThresholdEvaluation, settings: FogSettings) -> tuple[str, 
         "r is the change of the output over the one that K times the change of the input would give. Threshold "
         "and resolution are the smallest inputs, of the worse sense, with r of one half or more; within the dead "
         "zone r is below a tenth (terms of IEEE Std 528). What lies between two rungs of the ladder is in the "
-        "interval.",
+        "interval."
     ]
     if any(not one.ladder.says.threshold.seen for one in found.axes):
         said.append(
@@ -644,10 +644,7 @@ def _segment(
         "reference": reference,
     }
     return PlannedSegment(
-        key,
-        seconds,
-        _own(settings).settle_s,
-        {**conditions, **({_REFINED: True} if further else {})},
+        key, seconds, _own(settings).settle_s, {**conditions, **({_REFINED: True} if further else {})}
     )
 
 

@@ -258,9 +258,7 @@ def open_simulated_scope(settings: FogSettings, *, times_resumed: int = 0) -> It
         seed = int(np.random.SeedSequence([seed, times_resumed]).generate_state(1)[0])
     voltage = modulator_voltage(settings)
     scope = SimulatedTDS2014(
-        {int(witness.channel[2:]): lambda times: voltage(times) / witness.probe},
-        clock=VirtualClock(),
-        seed=seed,
+        {int(witness.channel[2:]): lambda times: voltage(times) / witness.probe}, clock=VirtualClock(), seed=seed
     )
     with serve(scope, "auto") as resource, open_scope(resource, read_twice=False) as opened:
         yield opened

@@ -95,17 +95,17 @@ class Events:
 
         with self._lock:
             self._counter += 1
-            event = Event(self._counter, kind, now_text(), plain(facts))
+            event = Event(
+                self._counter,
+                kind,
+                datetime.now(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z"),
+                plain(facts),
+            )
             for reader in tuple(self._readers):
                 try:
                     reader(event)
                 except Exception:  # whatever it is: it is the reader's, and not the measurement's
                     self._readers.remove(reader)
-
-
-def now_text() -> str:
-    """Return the time, UTC, ISO 8601 with milliseconds."""
-    return datetime.now(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
 
 
 # --------------------

@@ -99,11 +99,7 @@ LEFT_OUT = (
     Quantity("deviation_in_u", of="deviation"),
     Quantity("p_value"),
 )
-FREQUENCY_FIT = (
-    *_FIT,
-    Quantity("scale_factor", "pulses_per_deg", u=True),
-    BIAS_RATE,
-)
+FREQUENCY_FIT = (*_FIT, Quantity("scale_factor", "pulses_per_deg", u=True), BIAS_RATE)
 GROUP = (
     *OF_ONE_RATE,
     Quantity("lock_in_rate", "dps", doc="of this rate alone"),

@@ -186,11 +186,7 @@ def time_record_svg(waveform: Waveform) -> str:
             scale * times, waveform.volts[:shown], ".", ms=5, color=SECOND, alpha=0.45, mew=0, label="samples"
         )
         axes.plot(
-            scale * fine,
-            model(fine),
-            color=ACCENT,
-            linewidth=0.9,
-            label=f"fit: offset and {_HARMONICS} harmonics",
+            scale * fine, model(fine), color=ACCENT, linewidth=0.9, label=f"fit: offset and {_HARMONICS} harmonics"
         )
         axes.set(ylabel="V", xlim=(0, scale * fine[-1]))
         left = 1e3 * np.subtract(waveform.volts[:shown], model(times))
@@ -218,10 +214,7 @@ def spectrum_svg(waveform: Waveform) -> str:
         floor = float(np.percentile(level[inside], 1)) - 3
         axes.plot(scale * frequencies[inside], level[inside], color=ACCENT, linewidth=0.9)
         axes.set(
-            xlabel=f"frequency, {unit}",
-            ylabel="dB of the fundamental",
-            xlim=(0, scale * end),
-            ylim=(floor, 12),
+            xlabel=f"frequency, {unit}", ylabel="dB of the fundamental", xlim=(0, scale * end), ylim=(floor, 12)
         )
         for order in range(1, 9):
             if order * frequency < end:

@@ -34,15 +34,7 @@ from station.lock_in.quantities import QUANTITIES, result_document
 from station.lock_in.settings import Settings
 from station.results.numbers import LOCK_IN_RATE
 from station.results.quantity import within
-from station.results.result import (
-    FactTable,
-    Result,
-    Rows,
-    TextTable,
-    picked,
-    with_prefix,
-    with_uncertainty,
-)
+from station.results.result import FactTable, Result, Rows, TextTable, picked, with_prefix, with_uncertainty
 from station.runs.store import SavedRun
 
 _RECORDS_SHOWN = 40

@@ -44,13 +44,9 @@ _RESPONSE_COLUMNS = 3
 Ratio = Annotated[float, Field(gt=1.05, le=1000)]
 
 
-def _left_open(value: object) -> str:
-    return "auto" if isinstance(value, str) else "value"
-
-
 # left to the program, or given: told apart beforehand, so that a mistake is told once
 Auto = Annotated[Literal["auto"], Tag("auto")]
-_ByKind = Discriminator(_left_open)
+_ByKind = Discriminator(lambda value: "auto" if isinstance(value, str) else "value")
 Records = Annotated[Annotated[int, Field(ge=1, le=1_000_000), Tag("value")] | Auto, _ByKind]
 Rates = Annotated[Annotated[tuple[Ratio, ...], Tag("value")] | Auto, _ByKind]
 Senses = Annotated[Annotated[bool, Tag("value")] | Auto, _ByKind]
@@ -192,10 +188,6 @@ def check_scale_factor(settings: Settings) -> None:
         raise UsageError(_NO_SCALE_FACTOR)
 
 
-def _shipped(given: Any) -> str:
-    return "bench" if _resource(given) else "simulated"
-
-
 def _resource(values: Any) -> Any:
     scope = values.get("scope")
     return scope.get("resource") if isinstance(scope, dict) else None
@@ -282,7 +274,7 @@ def _numbers(line: str) -> ResponseRow | None:
 RING_LASER = SettingsKind(
     sections=Settings,
     limits=lambda: limits_of("measure"),
-    shipped=_shipped,
+    shipped=lambda given: "bench" if _resource(given) else "simulated",
     adapt=_adapt,
     check=_check,
     knowledge=("front_end", "budget.*", "limits.*", "table.known_tilt_deg", "table.known_tilt_u_deg"),

@@ -21,12 +21,7 @@ from station.errors import NoUsableSignal, UsageError
 from station.files import given_back
 from station.lock_in.columns import Collected
 from station.lock_in.estimate import Gathered, estimate_pieces
-from station.lock_in.evaluate import (
-    LockInEvaluation,
-    SavedWaveforms,
-    errors_in_words,
-    gathered_arrays,
-)
+from station.lock_in.evaluate import LockInEvaluation, SavedWaveforms, errors_in_words, gathered_arrays
 from station.lock_in.quantities import record_documents
 from station.lock_in.report import sections
 from station.lock_in.result import result

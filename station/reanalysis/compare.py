@@ -415,25 +415,20 @@ def write_comparison_plot(path: Path, found: Comparison) -> None:
 
 def _draw(figure: Figure, found: Comparison) -> None:
     if found.same_records:
-        _draw_records(figure, found)
+        over_u = found.differences[0].over_u
+        left, right = figure.subplots(1, 2, width_ratios=(3, 1), sharey=True)
+        shown = np.linspace(0, over_u.size - 1, min(over_u.size, _POINTS)).astype(int)
+        left.plot(shown + 1, over_u[shown], ".", color=ACCENT, markersize=4 if over_u.size < 500 else 2)
+        for axes in (left, right):
+            axes.axhline(0, color=INK, linewidth=0.8)
+        left.set(xlabel="record in both", ylabel="lock-in rate: (B - A) over its uncertainty")
+        right.hist(over_u, bins=min(60, max(8, over_u.size // 5)), orientation="horizontal", color=SECOND)
+        right.set(xlabel="records")
+        figure.suptitle(
+            f"A: {Path(found.first.name).name}   B: {Path(found.second.name).name}", fontsize=9, color=SOFT
+        )
     else:
         _means(figure, found)
-
-
-def _draw_records(figure: Figure, found: Comparison) -> None:
-    """Every record's difference in the lock-in rate, and how often which size occurs."""
-    over_u = found.differences[0].over_u
-    left, right = figure.subplots(1, 2, width_ratios=(3, 1), sharey=True)
-    shown = np.linspace(0, over_u.size - 1, min(over_u.size, _POINTS)).astype(int)
-    left.plot(shown + 1, over_u[shown], ".", color=ACCENT, markersize=4 if over_u.size < 500 else 2)
-    for axes in (left, right):
-        axes.axhline(0, color=INK, linewidth=0.8)
-    left.set(xlabel="record in both", ylabel="lock-in rate: (B - A) over its uncertainty")
-    right.hist(over_u, bins=min(60, max(8, over_u.size // 5)), orientation="horizontal", color=SECOND)
-    right.set(xlabel="records")
-    figure.suptitle(
-        f"A: {Path(found.first.name).name}   B: {Path(found.second.name).name}", fontsize=9, color=SOFT
-    )
 
 
 def _means(figure: Figure, found: Comparison) -> None:

@@ -152,10 +152,7 @@ def _common_tables(evaluated: Shown) -> list[FactTable]:
 def _provenance_rows(facts: RunFacts) -> Rows:
     if not facts.started_at:
         return []  # files of an oscilloscope
-    rows = [
-        ("taken", f"{facts.started_at} to {facts.ended_at or 'unknown'}"),
-        ("outcome", facts.outcome_text),
-    ]
+    rows = [("taken", f"{facts.started_at} to {facts.ended_at or 'unknown'}"), ("outcome", facts.outcome_text)]
     if facts.resumed_at:
         rows.insert(1, ("resumed", ", ".join(facts.resumed_at)))
     if made := facts.get("provenance"):

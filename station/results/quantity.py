@@ -35,6 +35,8 @@ UNITS = {
     "dph_per_k_per_min": "deg/h per K/min",
     "ppm_per_k_per_min": "ppm per K/min",
     "k_per_min": "K/min",
+    "dph_per_unit": "deg/h per unit of the stimulus",
+    "ppm_per_unit": "ppm per unit of the stimulus",
 }
 """Unit at the end of a key, and as a person reads it."""
 

@@ -114,7 +114,14 @@ def decide(limit: Limit, measured: Value) -> LimitOutcome:
         return _outcome(limit, measured, ERROR, (low, high), None, why)
     inside = _probability_inside(measured, low, high)
     if limit.rule == "simple":
-        return _simple(limit, measured, (low, high), inside)
+        ends = (low, high)
+        verdict = PASS if ends[0] <= measured.value <= ends[1] else FAIL
+        risk = 1 - inside if verdict == PASS else inside
+        if risk > limit.highest_risk:
+            allowed = f"{100 * limit.highest_risk:g} %"
+            why = f"the risk of a wrong decision is {100 * risk:.2g} %, more than the {allowed} allowed"
+            return _outcome(limit, measured, MARGINAL, ends, risk, why)
+        return _outcome(limit, measured, verdict, ends, risk, "")
     below, above = value - measured.low_95, measured.high_95 - value
     within = (low + below, high - above)
     if within[0] <= value <= within[1]:
@@ -122,16 +129,6 @@ def decide(limit: Limit, measured: Value) -> LimitOutcome:
     if measured.high_95 < low or measured.low_95 > high:
         return _outcome(limit, measured, FAIL, within, inside, "")
     return _outcome(limit, measured, MARGINAL, within, None, "the limit lies within the 95 % interval")
-
-
-def _simple(limit: Limit, measured: Value, ends: tuple[float, float], inside: float) -> LimitOutcome:
-    verdict = PASS if ends[0] <= measured.value <= ends[1] else FAIL
-    risk = 1 - inside if verdict == PASS else inside
-    if risk > limit.highest_risk:
-        allowed = f"{100 * limit.highest_risk:g} %"
-        why = f"the risk of a wrong decision is {100 * risk:.2g} %, more than the {allowed} allowed"
-        return _outcome(limit, measured, MARGINAL, ends, risk, why)
-    return _outcome(limit, measured, verdict, ends, risk, "")
 
 
 def _probability_inside(measured: Value, low: float, high: float) -> float:
@@ -150,12 +147,7 @@ def _probability_inside(measured: Value, low: float, high: float) -> float:
 
 
 def _outcome(
-    limit: Limit,
-    measured: Value,
-    verdict: Verdict,
-    acceptance: tuple[float, float],
-    risk: float | None,
-    why: str,
+    limit: Limit, measured: Value, verdict: Verdict, acceptance: tuple[float, float], risk: float | None, why: str
 ) -> LimitOutcome:
     low, high = (end if math.isfinite(end) else None for end in acceptance)
     below = math.inf if limit.at_least is None else measured.value - limit.at_least

@@ -80,9 +80,7 @@ def build_instruments(settings: BenchSettings, clock: Clock, *, times_resumed: i
         simulation = simulation.model_copy(update={"seed": int(again)})
     start = np.random.default_rng([simulation.seed, 0x6B])
     table = TurningTable(
-        clock,
-        acceleration=simulation.table_acceleration_dps2,
-        azimuth=float(start.uniform(0.0, 360.0)),
+        clock, acceleration=simulation.table_acceleration_dps2, azimuth=float(start.uniform(0.0, 360.0))
     )
     table.set_rate(settings.turning_dps)
     gyro = _gyro(settings, simulation, float(start.uniform(0.0, 2 * math.pi)))

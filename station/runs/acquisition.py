@@ -240,10 +240,7 @@ def _take(session: Acquisition, work: Callable[[Acquisition], None]) -> Taken:
     if writer is None:
         raise RunError("nothing was taken")
     session.end(TAKEN if failure is None else failure.message)
-    ending: dict[str, object] = {
-        "ended_at": utc_now(),
-        "outcome": TAKEN if failure is None else failure.as_json(),
-    }
+    ending: dict[str, object] = {"ended_at": utc_now(), "outcome": TAKEN if failure is None else failure.as_json()}
     ending |= session.about_scope()
     try:
         writer.save_facts(ending)

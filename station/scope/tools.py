@@ -136,11 +136,10 @@ def _sine(phase: Floats) -> Floats:
     return np.asarray(np.sin(phase))
 
 
-def _square(phase: Floats) -> Floats:
-    return np.asarray(np.where(np.mod(phase, 2 * math.pi) < math.pi, 1.0, -1.0), dtype=np.float64)
-
-
-SHAPES: dict[str, Shape] = {"sine": _sine, "square": _square}
+SHAPES: dict[str, Shape] = {
+    "sine": _sine,
+    "square": lambda phase: np.where(np.mod(phase, 2 * math.pi) < math.pi, 1.0, -1.0),
+}
 
 
 @dataclass(frozen=True)

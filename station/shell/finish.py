@@ -438,11 +438,6 @@ def saved_run(path: Path, kind: Measurement[Any, Any]) -> Taken:
 
 def check_kind(run: SavedRun, kind: Measurement[Any, Any]) -> None:
     """See that a run is of one measurement; UsageError names the other."""
-    if run.facts.command != kind.name:
-        raise UsageError(f"{run.path}: is a run of `{command_of(run)}`, not of `{kind.command}`")
-
-
-def command_of(run: SavedRun) -> str:
-    """Return what a user types for the measurement that a run is of."""
-    name = run.facts.command
-    return measurement(name).command if name in MEASUREMENTS else name
+    if (name := run.facts.command) != kind.name:
+        typed = measurement(name).command if name in MEASUREMENTS else name
+        raise UsageError(f"{run.path}: is a run of `{typed}`, not of `{kind.command}`")

@@ -162,12 +162,7 @@ def report_option(function: F) -> F:
 def run_options(function: F) -> F:
     """Add what every command has that takes records: resume, labels, seed, directory, settings, JSON."""
     options = (
-        click.option(
-            "--resume",
-            type=RUN_PATH,
-            metavar="RUN",
-            help="Resume this run: what is there is kept.",
-        ),
+        click.option("--resume", type=RUN_PATH, metavar="RUN", help="Resume this run: what is there is kept."),
         click.option("--unit", metavar="TEXT", help="Serial number of the unit under test."),
         click.option("--operator", metavar="TEXT", help="Who measures."),
         click.option("--note", metavar="TEXT", help="A note to keep with the run."),

@@ -25,12 +25,7 @@ def volts(
     starts = rng.uniform(0, 2 * np.pi, n_records)
     if gain_corner_hz is None:
         clean = beat_signal(
-            times,
-            scale_factor=K,
-            input_rate=rate,
-            lock_in_rate=WL,
-            initial_phase=starts,
-            backscatter_phase=phase,
+            times, scale_factor=K, input_rate=rate, lock_in_rate=WL, initial_phase=starts, backscatter_phase=phase
         )
     else:
         beat = steady_beat(symmetric_laser(WL, scale_factor=K, gain_corner_hz=gain_corner_hz), rate)

@@ -14,10 +14,7 @@ from instrument.simulated import Faults, SimulatedTDS2014, resource_manager
 def test_scopes_are_found_and_others_explained(impatient):
     other = Faults()
     other.identity = "HEWLETT-PACKARD,34401A,0,10-5-2"
-    scopes = {
-        "GPIB0::1::INSTR": SimulatedTDS2014(),
-        "GPIB0::5::INSTR": SimulatedTDS2014(faults=other),
-    }
+    scopes = {"GPIB0::1::INSTR": SimulatedTDS2014(), "GPIB0::5::INSTR": SimulatedTDS2014(faults=other)}
     visa = resource_manager(scopes=scopes)
     found = {resource.resource_name: resource for resource in find_resources(visa)}
     visa.close()

@@ -166,11 +166,7 @@ def make_csv(points: int = 40) -> str:
     codes = np.array([(n * 13) % 200 - 100 for n in range(points)], np.int8)
     preamble = replace(PREAMBLE, nr_pt=points)
     return scope_csv(
-        Waveform(codes, preamble),
-        source="CH2",
-        scale=0.05,
-        per_division=5e-4,
-        tail=["Probe Atten,1.000000e+01"],
+        Waveform(codes, preamble), source="CH2", scale=0.05, per_division=5e-4, tail=["Probe Atten,1.000000e+01"]
     )
 
 

@@ -10,11 +10,7 @@ from analysis.budget.bench import bounded
 from instrument import Preamble, Waveform
 from instrument.tek_files import csv_text
 from station.errors import RunError
-from station.lock_in.evaluate import (
-    LockInEvaluation,
-    evaluate_records,
-    fast_run_tilt,
-)
+from station.lock_in.evaluate import LockInEvaluation, evaluate_records, fast_run_tilt
 from station.lock_in.result import result
 from station.lock_in.settings import RING_LASER, Settings, bench_knowledge, default_settings, run_knowledge
 from station.reanalysis.combine import combine

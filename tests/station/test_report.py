@@ -83,22 +83,9 @@ def test_the_page_shows_result_settings_and_provenance(run: SavedRun) -> None:
     html = render_report(evaluate_run(run))
     page = Page()
     page.feed(html)
-    for value in (
-        *lock_in_words(evaluation),
-        "deg/h",
-        "95 % interval",
-        "2000 pulses/deg",
-        "TEKTRONIX,TDS 2014",
-    ):
+    for value in (*lock_in_words(evaluation), "deg/h", "95 % interval", "2000 pulses/deg", "TEKTRONIX,TDS 2014"):
         assert value in page.text
-    for value in (
-        "white noise",
-        "seed",
-        "numpy",
-        "second harmonic",
-        "tilt of the axis",
-        run.facts["started_at"],
-    ):
+    for value in ("white noise", "seed", "numpy", "second harmonic", "tilt of the axis", run.facts["started_at"]):
         assert value in page.text
     assert "<b>No. 7" not in html
     assert "<b>No. 7 & Söhne</b>" in page.text

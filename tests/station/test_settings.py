@@ -65,8 +65,7 @@ def test_the_command_line_wins_over_the_file(tmp_path: Path) -> None:
 
 def test_every_mistake_is_named_with_its_place(tmp_path: Path) -> None:
     file = write(
-        tmp_path,
-        '[table]\nfast_rate_dps = -1\nspeed = 2\n[measurement]\nrecords = "many"\n[motor]\non = true\n',
+        tmp_path, '[table]\nfast_rate_dps = -1\nspeed = 2\n[measurement]\nrecords = "many"\n[motor]\non = true\n'
     )
     with pytest.raises(SettingsError) as caught:
         load_settings(file)

@@ -113,11 +113,7 @@ def test_what_the_operator_says_stands_in_json_and_report(gyrolock, tmp_path: Pa
     ("arguments", "code", "text"),
     [
         (("table", "--config", "no.toml"), 2, "no.toml: cannot be read"),
-        (
-            ("table", "--config", "bad.toml"),
-            2,
-            "table.turns (line 2): input should be greater than",
-        ),
+        (("table", "--config", "bad.toml"), 2, "table.turns (line 2): input should be greater than"),
         (("table", "nowhere"), 2, "nowhere"),
         (("table", "--port", "/dev/does-not-exist"), 3, "/dev/does-not-exist"),
         (("selfcal", "--port", "/dev/does-not-exist"), 2, "--table RUN"),

@@ -149,12 +149,7 @@ class ClosedLoop:
         return self._block(ends, output_period_s, in_output, total)
 
     def trace(
-        self,
-        n_samples: int,
-        *,
-        rate_dps: float = 0.0,
-        injected_step: float = 0.0,
-        closed: bool | None = None,
+        self, n_samples: int, *, rate_dps: float = 0.0, injected_step: float = 0.0, closed: bool | None = None
     ) -> LoopTrace:
         """Signals of the first gyro at every transit time, for a plot; the gyro goes on as in :meth:`run`."""
         chunk = _Chunk(np.zeros(1, dtype=np.intp), np.array([(n_samples + 1) // 2]))

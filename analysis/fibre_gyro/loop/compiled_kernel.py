@@ -128,12 +128,7 @@ def _run_one(
 
 
 def run_pairs(
-    constants: LoopConstants,
-    converter_phase: Floats,
-    words: Ints,
-    phases: Floats,
-    drive: LoopInput,
-    sums: Ints,
+    constants: LoopConstants, converter_phase: Floats, words: Ints, phases: Floats, drive: LoopInput, sums: Ints
 ) -> None:
     """Run the loops over all segments; parameters as those of the NumPy kernel."""
     table: Any = converter_phase if COMPILED else converter_phase.data

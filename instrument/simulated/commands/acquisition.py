@@ -71,10 +71,6 @@ def _recent_trigger_signal(state: ScopeState) -> np.ndarray[tuple[int], np.dtype
     return np.asarray(state.acquisition.trigger_signal(state.panel.trigger(), times)).reshape(-1)
 
 
-def _trigger_state(state: ScopeState) -> str:
-    return _STATES.write(state.acquisition.state(), state.panel.flag("VERBOSE"))
-
-
 def _acquisitions(state: ScopeState) -> str:
     state.acquisition.update()
     return str(0 if state.panel.scanning else state.acquisition.acquisitions)
@@ -83,7 +79,11 @@ def _acquisitions(state: ScopeState) -> str:
 ACQUISITION_ACTIONS = {
     "ACQuire:NUMACq": Action(answer("ACQuire:NUMACq", _acquisitions)),
     "TRIGger": Action(order=_force_trigger),
-    "TRIGger:STATE": Action(answer("TRIGger:STATE", _trigger_state)),
+    "TRIGger:STATE": Action(
+        answer(
+            "TRIGger:STATE", lambda state: _STATES.write(state.acquisition.state(), state.panel.flag("VERBOSE"))
+        )
+    ),
     "TRIGger:MAIn": Action(order=_level_to_half),
     "TRIGger:MAIn:FREQuency": Action(answer("TRIGger:MAIn:FREQuency", _trigger_frequency)),
 }
@@ -211,16 +211,6 @@ _CHARGE = 100  # percent: the battery of a simulated instrument stays full
 _MINUTES_LEFT = 480  # of both batteries together
 
 
-def _displayed(state: ScopeState) -> Trace:
-    """The waveform that the vertical bars stand on."""
-    if state.panel.text("CURSOR:FUNCTION") != "VBARS":
-        raise Refusal(_CURSORS_OFF)
-    trace = state.trace(state.panel.text("CURSOR:SELECT:SOURCE"))
-    if trace is None:
-        raise Refusal(_SOURCE_OFF)
-    return trace
-
-
 def _time(state: ScopeState, number: int) -> float:
     """Where a bar stands, s."""
     position = state.panel.number(f"CURSOR:VBARS:POSITION{number}")
@@ -230,7 +220,12 @@ def _time(state: ScopeState, number: int) -> float:
 
 def _height(state: ScopeState, number: int) -> float:
     """Volts of the waveform where a bar stands."""
-    trace = _displayed(state)
+    if state.panel.text("CURSOR:FUNCTION") != "VBARS":
+        raise Refusal(_CURSORS_OFF)
+    trace = state.trace(state.panel.text("CURSOR:SELECT:SOURCE"))
+    if trace is None:
+        raise Refusal(_SOURCE_OFF)
+    trace = trace
     point = round((_time(state, number) - trace.xzero) / trace.xincr)
     if not 0 <= point < trace.points or trace.codes[point] == NO_DATA:
         raise Refusal(_OFF_SCREEN)

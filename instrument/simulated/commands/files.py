@@ -59,14 +59,7 @@ def _format(state: ScopeState, arguments: tuple[Argument, ...]) -> None:
 
 def _file_system(state: ScopeState) -> list[Leaf]:
     storage = state.storage
-    return [
-        (("FILESystem", "CWD"), quoted(storage.folder)),
-        (("FILESystem", "FREESpace"), str(storage.free)),
-    ]
-
-
-def _listing(state: ScopeState) -> str:
-    return ",".join(map(quoted, state.storage.listing())) or quoted("")
+    return [(("FILESystem", "CWD"), quoted(storage.folder)), (("FILESystem", "FREESpace"), str(storage.free))]
 
 
 def _save_image(state: ScopeState, arguments: tuple[Argument, ...]) -> None:
@@ -152,7 +145,9 @@ ACTIONS = {
         _on_one_name(lambda storage, name: storage.change_folder(name)),
     ),
     "FILESystem:DELEte": Action(order=_on_one_name(lambda storage, name: storage.delete(name))),
-    "FILESystem:DIR": Action(answer("FILESystem:DIR", _listing)),
+    "FILESystem:DIR": Action(
+        answer("FILESystem:DIR", lambda state: ",".join(map(quoted, state.storage.listing())) or quoted(""))
+    ),
     "FILESystem:FORMat": Action(order=_format),
     "FILESystem:FREESpace": Action(answer("FILESystem:FREESpace", lambda state: str(state.storage.free))),
     "FILESystem:MKDir": Action(order=_on_one_name(lambda storage, name: storage.make_folder(name))),

@@ -264,10 +264,6 @@ def _unlock(state: ScopeState, arguments: tuple[Argument, ...]) -> None:
     state.set("LOCK", "NONE")
 
 
-def _all_events(state: ScopeState) -> str:
-    return ",".join(f"{code},{quoted(text)}" for code, text in state.status.all_events())
-
-
 def _event_with_text(state: ScopeState) -> str:
     code, text = state.status.next_event()
     return f"{code},{quoted(text)}"
@@ -298,7 +294,11 @@ STATUS_ACTIONS = {
     "DESE": Action(answer("DESE", lambda state: str(state.status.device_mask)), _set_device_mask),
     "EVENT": Action(answer("EVENT", lambda state: str(state.status.next_event()[0]))),
     "EVMsg": Action(answer("EVMsg", _event_with_text)),
-    "ALLEv": Action(answer("ALLEv", _all_events)),
+    "ALLEv": Action(
+        answer(
+            "ALLEv", lambda state: ",".join(f"{code},{quoted(text)}" for code, text in state.status.all_events())
+        )
+    ),
     "EVQty": Action(answer("EVQty", lambda state: str(state.status.count()))),
     "BUSY": Action(answer("BUSY", lambda state: str(int(state.busy())))),
     "*OPC": Action(answer("", lambda state: "1"), _report_completion, waits=lambda state: state.busy()),

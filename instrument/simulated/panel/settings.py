@@ -489,12 +489,7 @@ def _hard_copy_and_links(model: Model) -> Iterator[Row]:
         yield Row("SAVe:IMAge:FILEFormat", Words(*formats), "BMP", kept=True, in_set=False, in_branch=False)
     yield Row("HARDCopy:LAYout", Words("PORTRait", "LANdscape"), "PORTRAIT", kept=True)
     yield Row("HARDCopy:INKSaver", Switch(words=True), 1, kept=True)
-    yield Row(
-        "LANGuage",
-        Words(*languages, "TRADitionalchinese", "SIMPlifiedchinese"),
-        "ENGLISH",
-        kept=True,
-    )
+    yield Row("LANGuage", Words(*languages, "TRADitionalchinese", "SIMPlifiedchinese"), "ENGLISH", kept=True)
     yield Row(
         "RS232:BAUd", Steps((300, 600, 1200, 2400, 4800, 9600, 19200), whole=True), 9600, kept=True, in_set=False
     )

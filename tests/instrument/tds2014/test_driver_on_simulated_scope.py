@@ -187,10 +187,7 @@ def test_knob_turned_behind_the_curve(scope, simulated):
 
 def test_switched_off_in_the_middle_of_a_record(opened, simulated):
     name, visa = opened
-    with (
-        pytest.raises(LinkError) as caught,
-        TDS2014(name, resource_manager=visa) as scope,
-    ):
+    with pytest.raises(LinkError) as caught, TDS2014(name, resource_manager=visa) as scope:
         scope.acquire(1)
         simulated.faults.add(Fault("power off", answer=1, bytes_sent=1200))
         scope.acquire(1)

@@ -97,10 +97,7 @@ def test_opening_and_reading_change_nothing_on_the_front_panel(line_server, line
 
 def test_settings_are_put_back_after_an_exception(line_server, line_scope, manager):
     before = dict(line_scope.settings)
-    with (
-        pytest.raises(ZeroDivisionError),
-        TDS2014(line_server.resource_name, resource_manager=manager) as scope,
-    ):
+    with pytest.raises(ZeroDivisionError), TDS2014(line_server.resource_name, resource_manager=manager) as scope:
         scope.set_timebase(2.5e-3)
         _ = 1 / 0
     assert line_scope.settings == before

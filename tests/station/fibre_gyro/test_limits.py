@@ -14,6 +14,7 @@ SMALL: dict[str, Any] = {
     "eps": {"record_s": 0.2},
     "figures": {"runs": 2, "rates_dps": [10.0, 50.0, 100.0], "temperatures_c": [60.0]},
     "witness": {"records": 1},
+    "sensitivity": {"record_s": 20.0},
 }
 
 

@@ -43,9 +43,7 @@ def test_the_table_run_finds_scale_factor_and_earth_rate(taken) -> None:
 
 def test_an_irreproducible_table_shows_in_the_scatter_and_in_the_small_numbers(taken) -> None:
     result, _ = taken(
-        "table",
-        table={"irreproducibility_ppm": 20.0},
-        simulation={"seed": 2, "table_irreproducibility_ppm": 20.0},
+        "table", table={"irreproducibility_ppm": 20.0}, simulation={"seed": 2, "table_irreproducibility_ppm": 20.0}
     )
     scatter = [axis["scatter_ppm"] for axis in result.document()["axes"]]
     assert np.sqrt(np.mean(np.square(scatter))) == pytest.approx(20, rel=0.45)

@@ -50,11 +50,7 @@ def test_the_shipped_bench_goes_through_several_rates_in_both_senses() -> None:
     [
         ({"rates_over_lock_in": [8]}, [(8, 1)], 20),
         ({"rates_over_lock_in": [8], "both_senses": True}, [(8, 1), (8, -1), (8, 1)], 20),
-        (
-            {"rates_over_lock_in": [3, 8], "records": 7},
-            [(8, 1), (3, 1), (3, -1), (8, -1)],
-            7,
-        ),
+        ({"rates_over_lock_in": [3, 8], "records": 7}, [(8, 1), (3, 1), (3, -1), (8, -1)], 7),
         ({"rates_over_lock_in": [3, 8], "both_senses": False}, [(8, 1), (3, 1), (8, 1)], 20),
         ({"rates_over_lock_in": []}, [(8, 1)], 20),
     ],

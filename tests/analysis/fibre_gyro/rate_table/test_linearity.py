@@ -25,8 +25,7 @@ def true_rms_ppm(*, cubic: float, asymmetry: float) -> float:
 
 
 @pytest.mark.parametrize(
-    ("truth", "terms"),
-    [({}, ()), ({"cubic": 60e-6}, ("quadratic",)), ({"asymmetry": 60e-6}, ("asymmetry",))],
+    ("truth", "terms"), [({}, ()), ({"cubic": 60e-6}, ("quadratic",)), ({"asymmetry": 60e-6}, ("asymmetry",))]
 )
 def test_the_data_choose_the_terms(truth: dict[str, float], terms: tuple[str, ...]) -> None:
     found = scale_linearity(ladder(1, **truth))

@@ -74,11 +74,7 @@ def test_any_line(make_bench, standard, inverted):
 @pytest.mark.parametrize("standard", ["PAL", "NTSC"])
 @pytest.mark.parametrize("sync", ["ODD", "EVEN", "FIELD"])
 def test_fields(make_bench, standard, sync):
-    allowed = {
-        "ODD": {ODD[standard]},
-        "EVEN": {EVEN[standard]},
-        "FIELD": {ODD[standard], EVEN[standard]},
-    }[sync]
+    allowed = {"ODD": {ODD[standard]}, "EVEN": {EVEN[standard]}, "FIELD": {ODD[standard], EVEN[standard]}}[sync]
     for half_line, error in trigger_times(make_bench, standard, f"SYNC {sync}"):
         assert half_line in allowed
         assert error < 0.2e-6

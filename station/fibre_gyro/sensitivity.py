@@ -34,7 +34,7 @@ from station.fibre_gyro.segments import (
     window_of_any_length,
 )
 from station.fibre_gyro.settings import FogSettings, Name, TestSettings
-from station.report.figure import ACCENT, HALF, INK, SOFT, svg_element
+from station.report.figure import ACCENT, INK, SOFT, WIDE, svg_element
 from station.results.quantity import Quantity, QuantityGroup, document, rows
 from station.results.result import Excluded, PlacedFigure, Result, Section, table, with_uncertainty
 from station.runs.store import SavedRun
@@ -194,6 +194,13 @@ LEVELS = (
 QUANTITIES = (QuantityGroup(NUMBERS),)
 
 
+_CHANGES = "Changes are differences from the reference before and after: an even drift takes nothing."
+_SIX = (
+    "K is what the earth rate makes of three directions at right angles, whatever latitude and azimuth are. What "
+    "each position may be off by (sensitivity.squareness_mrad) is counted."
+)
+
+
 def result(found: SensitivityEvaluation, run: SavedRun, settings: FogSettings) -> Result:
     """Put into numbers and sentences what was found."""
     own, said, watched = _own(settings), list[str](), list[str]()
@@ -225,8 +232,8 @@ def result(found: SensitivityEvaluation, run: SavedRun, settings: FogSettings) -
         lines=tuple(said[1:]),
         summary=[("", line) for line in said[1:]],
         sentences=(
-            "Changes are differences from the reference before and after, so a drift that is even between the two "
-            f"takes nothing. deg/h are by the scale factor by design, {found.scale_factor:.6g} {COUNTS_PER_DPS}.",
+            _SIX if six else _CHANGES,
+            f"deg/h are by the scale factor by design, {found.scale_factor:.6g}.",
         ),
         to_watch=tuple(watched),
         flags=tuple(watched),
@@ -279,7 +286,7 @@ def _svg(response: StimulusResponse, across: str, up: str, name: str) -> str:
         axes.errorbar(stimulus, response.difference, response.difference_u, fmt="o", ms=4, color=INK, capsize=3)
         axes.set(xlabel=across, ylabel=up)
 
-    return svg_element(f"{name.replace(' ', '-')}-over-stimulus", HALF, draw)
+    return svg_element(f"{name.replace(' ', '-')}-over-stimulus", WIDE, draw)
 
 
 def plan(settings: FogSettings) -> list[PlannedSegment]:

@@ -30,6 +30,7 @@ from station.errors import (
     CannotWrite,
     Failure,
     NoUsableSignal,
+    RunError,
     StationError,
     UsageError,
     describe_failure,
@@ -42,6 +43,7 @@ from station.runs.database import utc_now
 from station.runs.progress import Progress
 from station.runs.signals import disturbed, undisturbed
 from station.runs.store import RUN_FILE, open_run
+from station.settings import saved_settings
 from station.shell.finish import Evaluated, evaluate_run, keep, resume_run, save_outcome, start_run
 
 
@@ -64,8 +66,8 @@ def conduct(
 def _as_now(step: PlannedStep) -> PlannedStep:
     """A step of an earlier version, with the settings that this one has beside its own."""
     try:
-        settings = measurement(step.measurement).kind.model.model_validate(dict(step.settings))
-    except ValueError:
+        settings = saved_settings(measurement(step.measurement).kind, step.settings, step.key)
+    except RunError:
         return step
     return replace(step, settings=settings.model_dump(mode="json"))
 

@@ -73,6 +73,8 @@ class TemperatureSettings(TestSettings):
     coldest_c: Finite
     hottest_c: Finite
     ramp_c_per_min: Positive
+    cycles: Annotated[int, Field(ge=1, le=100)]
+    hold_s: NotNegative
     rate_dps: NotNegative
     rest_s: Positive
     settle_s: NotNegative
@@ -481,6 +483,10 @@ NUMBERS = (
         "bias_hysteresis", "dph", lambda one: _hysteresis(one.bias)[0], lambda one: _hysteresis(one.bias)[1],
         limit=True, doc="bias going up less going down, at equal temperature",
     ),
+    Quantity(
+        "scale_factor_hysteresis", "ppm", lambda one: _hysteresis(one.scale)[0],
+        lambda one: _hysteresis(one.scale)[1], limit=True, doc="K going up less going down, at equal temperature",
+    ),
     Quantity("rate_noise_share", of="rate_noise", doc="part of the scatter of dT/dt that is noise"),
 )  # fmt: skip
 DESIGN = (Quantity("reference_temperature", "c"), Quantity("nominal_scale_factor", "counts_per_dps"))
@@ -505,12 +511,15 @@ def _hysteresis(modelled: Modelled | None) -> tuple[float, float]:
     if modelled is None:
         return math.nan, math.nan
     model, rate = modelled.model, modelled.points.rate
-    beside = model.residual + model.rate_coefficient * rate  # what the polynomial does not say
+    # what the polynomial does not say
+    beside = model.residual + (model.rate_coefficient * rate if model.with_rate else 0.0)
     up, down = (beside[sign * rate > _RAMPS * np.abs(rate).max()] for sign in (1, -1))
     if min(up.size, down.size) < _FEWEST_OF_RAMP:
         return math.nan, math.nan
-    # slow noise is another on the way down, and no mean over a ramp makes it smaller
-    u = math.hypot(model.noise_u * math.sqrt(1 / up.size + 1 / down.size), math.sqrt(2) * model.slow)
+    # slow noise is another on every ramp, and no mean over a ramp makes it smaller
+    steep = np.sign(rate[np.abs(rate) > _RAMPS * np.abs(rate).max()])
+    ramps = 1 + np.count_nonzero(np.diff(steep))
+    u = math.hypot(model.noise_u * math.sqrt(1 / up.size + 1 / down.size), 2 / math.sqrt(ramps) * model.slow)
     return float(up.mean() - down.mean()), u
 
 
@@ -641,9 +650,14 @@ def table_of_models(one: AxisTemperature) -> TextTable:
 
 
 def _sentences(one: AxisTemperature) -> list[str]:
-    up_less_down, u = _hysteresis(one.bias)
-    said = f"Bias of axis {one.axis} going up less going down: {with_uncertainty(up_less_down, u)} deg/h. "
-    said += "One ramp up and down cannot tell hysteresis, a drift and an effect of dT/dt apart: vary its speed."
+    said, u = "", math.nan
+    for name, modelled, unit in (("Scale factor", one.scale, "ppm"), ("Bias", one.bias, "deg/h")):
+        up_less_down, u = _hysteresis(modelled)
+        if math.isfinite(u):
+            said += (
+                f"{name} of axis {one.axis} going up less going down: {with_uncertainty(up_less_down, u, unit)}. "
+            )
+    said += "Ramps of one speed cannot tell hysteresis, a drift and an effect of dT/dt apart: vary it."
     chosen = [
         _choice_in_words(f"{name} of axis {one.axis}", modelled)
         for name, modelled in (("scale factor", one.scale), ("bias", one.bias))
@@ -776,15 +790,16 @@ def _residual_svg(modelled: Modelled, axis: str) -> str:
 
 
 def plan(settings: FogSettings) -> list[PlannedSegment]:
-    """List the segments: rest, a turn in both senses, rest, ..., while the chamber goes up and down again."""
+    """List the segments: rest, a turn in both senses, rest, ..., while the chamber goes up, stays, comes down."""
     chosen, planned, begin = _own(settings), [], 0.0
-    lasts = 60 * (chosen.hottest_c - chosen.coldest_c) / chosen.ramp_c_per_min
-    for name, start, end in (
-        ("up", chosen.coldest_c, chosen.hottest_c),
-        ("down", chosen.hottest_c, chosen.coldest_c),
-    ):
-        ramp = chosen.ramp_c_per_min if end > start else -chosen.ramp_c_per_min
+    cold, hot = chosen.coldest_c, chosen.hottest_c
+    legs = [("up", cold, hot), ("hot", hot, hot), ("down", hot, cold), ("cold", cold, cold)] * chosen.cycles
+    for place, (leg, start, end) in enumerate(legs):
+        name = leg if place < 4 else f"cycle {place // 4 + 1} {leg}"
+        ramp = chosen.ramp_c_per_min * np.sign(end - start)
         by_hand = f"Let the chamber go from {start:g} to {end:g} deg C, {chosen.ramp_c_per_min:g} K a minute."
+        by_hand = by_hand if ramp else f"Hold the chamber at {start:g} deg C."
+        lasts = 60 * (end - start) / ramp if ramp else chosen.hold_s
         ends, number = begin + lasts, 0
         while begin < ends:
             number += 1

@@ -1,5 +1,6 @@
 """Scale factor and bias over a temperature ramp: simulated bench, logs, resumed; the compensation table."""
 
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ from station.fibre_gyro import bench as simulated_bench
 from station.fibre_gyro.bench import SimulatedFogBench
 from station.fibre_gyro.segments import PlannedSegment
 from station.fibre_gyro.settings import load_fog_settings
+from station.fibre_gyro.temperature import plan
 from station.measurements import measurement
 from station.report.show import render_report
 from station.runs.progress import Progress
@@ -181,3 +183,31 @@ def test_going_up_less_going_down_is_given_with_what_it_may_be(tmp_path: Path, h
     if truth:  # it is seen
         assert abs(found["bias_hysteresis_dph"]) > 1.5 * found["bias_hysteresis_u_dph"]
     assert "cannot tell hysteresis, a drift and an effect of dT/dt apart" in evaluated.result.sentences[-1]
+
+
+def test_several_times_up_and_down_with_a_stay_at_each_end() -> None:
+    """Nothing is there twice, the chamber goes on from where it was, and slow noise is averaged over the ramps."""
+    short = {"coldest_c": 10.0, "hottest_c": 40.0, "ramp_c_per_min": 2.0, "cycles": 3, "hold_s": 400.0}
+    settings = load_fog_settings(overrides={"temperature": short})
+    planned = plan(settings)
+    assert len({one.key for one in planned}) == len(planned)
+    begins = [one.conditions["planned_begin_s"] for one in planned]
+    assert begins == sorted(begins) and begins[-1] > 3 * 2 * (900 + 400) - 200
+    temperatures = np.array([one.conditions["planned_temperature_c"] for one in planned])
+    assert np.abs(np.diff(temperatures)).max() < 6.0 and temperatures.max() < 42.0 and temperatures.min() > 8.0
+    held = [one for one in planned if not one.conditions["ramp_c_per_min"]]
+    assert {one.conditions["by_hand"] for one in held} == {
+        "Hold the chamber at 40 deg C.",
+        "Hold the chamber at 10 deg C.",
+    }
+    ramps = [one.conditions["ramp_c_per_min"] for one in planned]
+    assert [ramp for ramp, _ in groupby(ramps)] == [2.0, 0.0, -2.0, 0.0] * 3
+
+
+def test_hysteresis_of_the_scale_factor(tmp_path: Path) -> None:
+    short = {"coldest_c": 10.0, "hottest_c": 40.0, "ramp_c_per_min": 2.0, "cycles": 2, "hold_s": 300.0}
+    settings = load_fog_settings(overrides={"temperature": short, "output": {"directory": str(tmp_path)}})
+    found = evaluate_run(open_run(start_run(measurement("temperature"), settings, QUIET).path)).document()
+    assert abs(found["scale_factor_hysteresis_ppm"]) < 4 * found["scale_factor_hysteresis_u_ppm"] < 40
+    # 0.1 deg/h per K/min of the shipped gyro, at 2 K a minute up and down
+    assert abs(found["bias_hysteresis_dph"] - 0.4) < 4 * found["bias_hysteresis_u_dph"]

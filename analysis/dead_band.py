@@ -260,7 +260,17 @@ def fit_whole_corner(swept: Sweep, start: float) -> Corner:
     inverse = np.linalg.pinv(jacobian.T @ jacobian)
     kept = np.maximum(1 - np.einsum("ni,ij,nj->n", jacobian, inverse, jacobian), 1 / near.sum())
     spread = np.maximum(fit.fun / kept, swept.pulses_u[near]) ** 2
-    us = _known_from_few(inverse @ jacobian.T, spread)
+    weights = inverse @ jacobian.T
+    # `spread` : (n,) variances of the steps.
+    # Each of these is that of a single residual, and where slips are strong few steps at the corner count. The sum
+    # of their shares then has few degrees of freedom (Satterthwaite; the square of a squared residual is three
+    # times that of its mean): the uncertainty is enlarged to what Student's distribution asks for.
+    shares = weights**2 * spread
+    total = shares.sum(axis=1)
+    squares = np.maximum(np.sum(shares**2, axis=1), 1e-300)
+    degrees = np.maximum(3 * total**2 / squares, FEWEST_DEGREES)
+    student = scipy.special.stdtrit(degrees, 0.975) / scipy.special.ndtri(0.975)
+    us = np.asarray(np.sqrt(np.maximum(total, 0.0)) * student)
     walk = float(np.exp(fit.x[2])) * _usual_walk(swept, start)
     drift, drift_u = (float(fit.x[3]), float(us[3])) if count > 3 else (float("nan"), float("nan"))
     return Corner(
@@ -271,20 +281,6 @@ def fit_whole_corner(swept: Sweep, start: float) -> Corner:
         drift=drift * start,
         drift_u=drift_u * start,
     )
-
-
-def _known_from_few(weights: Floats, spread: Floats) -> Floats:
-    """Standard uncertainties of parameters (P,), made of steps (n,) by `weights` (P, n)."""
-    # `spread` : (n,) variances of the steps.
-    # Each of these is that of a single residual, and where slips are strong few steps at the corner count. The sum
-    # of their shares then has few degrees of freedom (Satterthwaite; the square of a squared residual is three
-    # times that of its mean): the uncertainty is enlarged to what Student's distribution asks for.
-    shares = weights**2 * spread
-    total = shares.sum(axis=1)
-    squares = np.maximum(np.sum(shares**2, axis=1), 1e-300)
-    degrees = np.maximum(3 * total**2 / squares, FEWEST_DEGREES)
-    student = scipy.special.stdtrit(degrees, 0.975) / scipy.special.ndtri(0.975)
-    return np.asarray(np.sqrt(np.maximum(total, 0.0)) * student)
 
 
 def _usual_walk(swept: Sweep, start: float) -> float:

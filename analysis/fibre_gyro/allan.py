@@ -412,7 +412,8 @@ class _Likelihood:
     ) -> tuple[float, Floats, Floats]:
         """Logarithm of the likelihood, its derivatives with the squares, and Fisher's information."""
         root = np.linalg.cholesky(self._total(squares))
-        inverse = scipy.linalg.cho_solve((root, True), np.eye(root.shape[0]))
+        half = np.tril(scipy.linalg.lapack.dpotri(root, lower=True)[0])
+        inverse = half + np.tril(half, -1).T
         left = self._increments
         if columns:
             design = np.column_stack([self._regressors[name] for name in columns])

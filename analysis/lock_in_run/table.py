@@ -501,7 +501,9 @@ def fitted_curve(
         for some in seen.blocks():
             noise = np.sqrt((stretch * some.frequency_u) ** 2 + moving)
             equations.add(*_linearised(values, some, stated), noise, some.setting)
-        chi_square, slope_by_variance = equations.about_the_curve() if few else equations.within_settings()
+        # too few settings do not tell what moves from one to the next
+        about_curve = float(np.sum(equations.moments[4])), float(np.sum(equations.moments[5]))
+        chi_square, slope_by_variance = about_curve if few else equations.within_settings()
         beyond = chi_square - free
         as_expected = abs(beyond) <= 0.01 * free or (beyond < 0 and moving == 0 and stretch == 1)
         system = _System(seen, start, known, values, stated.swing, equations.triangle)
@@ -540,12 +542,8 @@ class _TableEquations:
         for row, (power, of_noise) in enumerate(itertools.product((0, 1, 2), (2, 4))):
             np.add.at(self.moments[row], setting, left**power / noise**of_noise)
 
-    def about_the_curve(self) -> tuple[float, float]:
-        """Chi-square, and how it falls with the variance, where too few settings tell what moves between them."""
-        return float(np.sum(self.moments[4])), float(np.sum(self.moments[5]))
-
     def within_settings(self) -> tuple[float, float]:
-        """The same of the records about the means of their settings."""
+        """Chi-square of the records about the means of their settings, and how it falls with the variance."""
         n2, n4, l2, l4, ll2, ll4 = self.moments
         mean = l2 / np.maximum(n2, 1e-300)
         return float(np.sum(ll2 - mean * l2)), float(np.sum(ll4 - 2 * mean * l4 + mean**2 * n4))

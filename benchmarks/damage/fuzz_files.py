@@ -1,15 +1,18 @@
 """`python -m benchmarks.damage.fuzz_files`: damaged files at everything that reads one.
 
-CSV and ISF files of an oscilloscope, settings in TOML, and saved runs are changed at random: bytes flipped, cut,
-doubled and put in, numbers replaced by wild ones, brackets nested, cells of a run's tables overwritten. Each file
-must give its result or a declared error, at once and in little memory. ``commands`` takes saved runs of every
-kind, spoils a page, a cell or a value inside one (also of layouts without checksums), and gives them to commands.
+CSV and ISF files of an oscilloscope, logs of a fibre gyro, settings in TOML, and saved runs are changed at random:
+bytes flipped, cut, doubled and put in, rows lost or repeated, numbers replaced by wild ones, brackets nested,
+cells of a run's tables overwritten. Each file must give its result or a declared error, soon and in little memory.
+``commands`` takes saved runs of every kind, spoils a page, a cell or a value inside one (also of layouts without
+checksums), and gives them to commands.
 """
 
 from __future__ import annotations
 
 import argparse
 import contextlib
+import datetime
+import gzip
 import io
 import json
 import math
@@ -30,6 +33,7 @@ from pathlib import Path
 from typing import Any
 
 from instrument import Preamble, Waveform, read_waveform
+from instrument.fibre_gyro import read_gyro_log
 from station import cli
 from station.errors import describe_failure
 from station.measurements import MEASUREMENTS, measurement
@@ -41,9 +45,9 @@ from station.runs.store import open_run
 from station.settings import load, shipped_settings
 from station.shell.finish import evaluate_run, start_run
 
-COUNTS = {"csv": 5000, "isf": 5000, "toml": 5000, "runs": 2000, "commands": 5000}
+COUNTS = {"csv": 5000, "isf": 5000, "logs": 100_000, "toml": 5000, "runs": 2000, "commands": 5000}
 LONGEST_S = 20
-"""Seconds after which a file counts as one that hangs; the slowest takes some tenths."""
+"""Seconds after which a file counts as one that hangs; the slowest takes some tenths. A log has five."""
 MEMORY = 300 << 20
 """Bytes that reading a file may take on top of the program."""
 _NUMBER = re.compile(rb"[-+]?\d+(?:\.\d*)?(?:[eE][-+]?\d+)?")
@@ -123,15 +127,15 @@ def try_files(kind: str, count: int, seed: int = 0) -> Outcome:
         _limit_memory()
         for _ in range(count):
             path, read = source.choice(makers)()
-            _try(path, read, outcome)
+            _try(path, read, outcome, 5 if kind == "logs" else LONGEST_S)
     return outcome
 
 
-def _try(path: Path, read: Callable[[Path], object], outcome: Outcome) -> None:
+def _try(path: Path, read: Callable[[Path], object], outcome: Outcome, longest_s: int) -> None:
     began = time.perf_counter()
     outcome.files += 1
     try:
-        with _deadline():
+        with _deadline(longest_s):
             read(path)
     except BaseException as error:
         failure = describe_failure(error)
@@ -147,14 +151,14 @@ def _try(path: Path, read: Callable[[Path], object], outcome: Outcome) -> None:
 
 
 @contextmanager
-def _deadline() -> Iterator[None]:
+def _deadline(longest_s: int) -> Iterator[None]:
     """Raise TimeoutError when it takes too long."""
 
     def ring(*_: object) -> None:
-        raise TimeoutError(f"took more than {LONGEST_S} s")
+        raise TimeoutError(f"took more than {longest_s} s")
 
     before = signal.signal(signal.SIGALRM, ring)
-    signal.alarm(LONGEST_S)
+    signal.alarm(longest_s)
     try:
         yield
     finally:
@@ -179,6 +183,8 @@ def _makers(kind: str, folder: Path, source: random.Random) -> list[Maker]:
         return _damaged_runs(folder, source)
     if kind == "commands":
         return [lambda: _spoiled_run(folder, source)]
+    if kind == "logs":
+        return [lambda: (_written(folder / "x.log", _spoiled_log(source)), lambda path: _read_log(path, source))]
     if kind == "toml":
         names = dict.fromkeys(("simulated", "bench", "dead_band", "fibre_gyro", "fibre_gyro_serial"))
         kinds = [measurement(name).kind for name in MEASUREMENTS]
@@ -225,6 +231,102 @@ def _damaged_runs(folder: Path, source: random.Random) -> list[Maker]:
         return copy
 
     return [lambda: (_written(copy, mutated(content, source)), read), lambda: (spoiled(), read)]
+
+
+HEADERS = (
+    *("time,counts", "time [s],rate [mdps]", "date,time,counts", "timestamp,counts_x,counts_y", "t,n", ""),
+    *("time,counts,temperature [K]", "time,dtheta [rad]", "counter,time,counts", "time_ms,counts,status", "a,b"),
+    "time,rate\n(s),(deg/h)",
+)
+WILD_CELLS = (
+    *(
+        "ERR",
+        "nan",
+        "inf",
+        "",
+        "\0",
+        "1e999",
+        "12:30",
+        "12:30:61",
+        "25:99:99",
+        "2025-13-45",
+        "::",
+        "--",
+        "/",
+        "#",
+        '"',
+    ),
+    *(
+        "1_000",
+        "0x1f",
+        "9" * 400,
+        "T",
+        " ",
+        "12:-5:3",
+        "1:2:3:4",
+        "31.02.2025",
+        "5e8",
+        "-1e15",
+        "1e-300",
+        "\u0663",
+    ),
+)
+BEFORE_MIDNIGHT = datetime.datetime(2025, 12, 31, 23, 59, 59)
+
+
+def _spoiled_log(source: random.Random) -> bytes:
+    """A log of a fibre gyro in one of many spellings, with some rows that are none."""
+    header, separator = source.choice(HEADERS), source.choice(",;\t ")
+    names = header.split("\n")[0].split(",")
+
+    def cell(name: str, number: int) -> str:
+        moment = BEFORE_MIDNIGHT + datetime.timedelta(milliseconds=10 * number)
+        if name == "date":
+            return moment.strftime(
+                source.choice(("%m/%d/%Y", "%Y-%m-%d")) if source.random() < 0.01 else "%m/%d/%Y"
+            )
+        if name == "timestamp":
+            return moment.isoformat()
+        if name.startswith("t") and not name.startswith("temp"):
+            return f"{moment:%H:%M:%S.%f}" if "date" in names else f"{number * 0.01:.2f}"
+        return str(number % 256 if name == "counter" else source.randint(-3000, 3000))
+
+    count = source.choice((0, 1, 2, 5, 60, 300))
+    rows = [separator.join(cell(name, number) for name in names) for number in range(count)]
+    for _ in range(source.choice((0, 0, 1, 3, 10)) if rows else 0):
+        place, kind = source.randrange(len(rows)), source.random()
+        if kind < 0.35:
+            cells = rows[place].split(separator)
+            cells[source.randrange(len(cells))] = source.choice(WILD_CELLS)
+            rows[place] = separator.join(cells)
+        elif kind < 0.5:
+            rows.insert(place, source.choice((*rows, header)))
+        elif kind < 0.6:
+            rows[place] = rows[place][: source.randrange(len(rows[place]) + 1)]
+        elif kind < 0.75 and len(rows) > 1:
+            del rows[place]
+        else:
+            rows[place] = "".join(source.choice("0123456789.,;:-/ eE") for _ in range(source.randrange(20)))
+    text = "\n".join(
+        [(header if source.random() < 0.9 else source.choice(HEADERS)).replace(",", separator), *rows]
+    )
+    content = text.encode(source.choice(("utf-8", "utf-8", "utf-16")))
+    content = mutated(content, source) if source.random() < 0.1 else content
+    packed = gzip.compress(content) if source.random() < 0.05 else content
+    return packed if source.random() < 0.98 else packed[: source.randrange(len(packed) + 1)]
+
+
+def _read_log(path: Path, source: random.Random) -> None:
+    made = read_gyro_log(
+        path,
+        counts_per_dps=source.choice((None, 10.0)),
+        skip_bad_rows=source.choice((0, 0, 1, 3, 1000)),
+        axis=source.choice(("", "X")),
+        units=source.choice(("", "", "deg", "mrad/s", "counts")),
+        interval_s=source.choice((None, None, 0.01)),
+    )
+    if made.times.size != made.counts.size or not (made.times[1:] >= made.times[:-1]).all():
+        raise AssertionError("the times of a log do not go on")
 
 
 GOLDEN = Path(__file__).resolve().parents[2] / "tests" / "golden"

@@ -44,8 +44,8 @@ from instrument.fibre_gyro.recording import Floats, Gap, Losses, Recording, coun
 from instrument.text_files import open_plain_file
 
 _DOUBLED = 0.02  # of the rows: more equal time stamps than these are coarse stamps, not doubled rows
-_OFTEN = 0.8
 _WORDS = (16, 20, 24, 32)  # bits
+_LARGEST = 1e50  # that is a number at all
 
 
 @dataclass(frozen=True)
@@ -165,12 +165,17 @@ def _read(text: IO[str], choices: LogChoices) -> GyroLog:
         zero, each = TEMPERATURE_UNITS[unit_of_t]
         columns[TEMPERATURE] = (columns[TEMPERATURE] - zero) / each
     if TIME in columns:
-        seconds = seconds_of(choices.time_unit or unit_of[TIME] or _unit_of_epoch(columns[TIME]))
+        usual = float(np.median(np.abs(columns[TIME])))
+        since_1970 = "s" if usual < 1e11 else "ms" if usual < 1e14 else "us"  # 1e11 s are 3000 years
+        seconds = seconds_of(choices.time_unit or unit_of[TIME] or since_1970)
         columns[TIME] = columns[TIME] * seconds
         kept = _in_order(columns[TIME], table, choices.skip_bad_rows, counted=COUNTER in columns)
         table = replace(table, values=table.values[kept], lines=table.lines[kept])
         columns, outputs = ({name: one[kept] for name, one in each.items()} for each in (columns, outputs))
     counter, status, times = (columns.pop(name, None) for name in (COUNTER, STATUS, TIME))
+    for name, words in ((COUNTER, counter), (STATUS, status)):
+        if words is not None and (large := np.abs(words) > 2.0**53).any():
+            raise FileFormatError(f"line {table.lines[large.argmax()]}: the {name} is {words[large.argmax()]:g}")
     clock, kind = _clock(times, counter, table, choices.interval_s)
     gaps = _gaps(clock)
     missing, bad = sum(gap.missing for gap in gaps), Counter(table.bad)
@@ -205,11 +210,13 @@ def _names(dialect: Dialect, choices: LogChoices) -> tuple[list[str], list[str]]
             for name, nothing in zip(names, dialect.is_empty, strict=True)
         ]
     else:
-        dated = dialect.dated and dialect.width > 1
-        names = [DATE, *default_names(dialect.width - 1)] if dated else default_names(dialect.width)
-        units = [""] * dialect.width
+        dated = dialect.dated and len(dialect.is_empty) > 1
+        names = (
+            [DATE, *default_names(len(dialect.is_empty) - 1)] if dated else default_names(len(dialect.is_empty))
+        )
+        units = [""] * len(dialect.is_empty)
     _check_names(names, choices)
-    return names, units
+    return ["" if name == DATE and TIME not in names else name for name in names], units
 
 
 def _check_names(names: list[str], choices: LogChoices) -> None:
@@ -226,12 +233,6 @@ def _check_names(names: list[str], choices: LogChoices) -> None:
         f"{', '.join(name for name in names if name) or 'none'}; name them in their order with the option or "
         f"setting columns{more}"
     )
-
-
-def _unit_of_epoch(times: Floats) -> str:
-    """Unit of stamps that do not give it: what would be 3000 years in seconds counts from 1970 in ms or us."""
-    largest = float(np.max(np.abs(times), initial=0.0))
-    return "s" if largest < 1e11 else "ms" if largest < 1e14 else "us"
 
 
 def _check_words(outputs: dict[str, Floats], lines: NDArray[np.int64]) -> None:
@@ -273,6 +274,14 @@ def _clock(
     times: Floats | None, counter: Floats | None, table: LogTable, interval_s: float | None
 ) -> tuple[LogClock, str]:
     """Place of every row, and what that rests on."""
+    steps = np.diff(times - times[0]) if times is not None else np.zeros(0)
+    if times is not None and steps.size and not 0 < steps.sum() < 1e9:
+        raise FileFormatError(f"the time goes from {times[0]:.9g} s to {times[-1]:.9g} s: is it the right column?")
+    if steps.size and steps.sum() > np.median(steps[steps > 0]) * (100 * steps.size + 1e6):
+        raise FileFormatError(
+            f"line {table.lines[steps.argmax() + 1]}: the time goes on by {steps.max():.6g} s at once, as in no "
+            "log; correct or remove the line, or part the log there"
+        )
     if table.lines.size < 2 and interval_s is None:
         raise FileFormatError("one row alone does not tell the interval of the output; give it as interval_s")
     if counter is not None and table.lines.size > 1:
@@ -284,7 +293,7 @@ def _clock(
         return LogClock(float(interval_s or 0.0), rows, True), "frames" if times is None else "time column"
     if interval_s is not None:
         early = np.flatnonzero(np.diff(times) <= 0.5 * interval_s)
-        if early.size > _OFTEN * (times.size - 1):
+        if early.size > 0.8 * (times.size - 1):
             raise FileFormatError(
                 f"line {table.lines[early[0] + 1]}: the rows do not come every {interval_s:.6g} s; give the "
                 "interval of the output as interval_s, or correct the time column"
@@ -308,11 +317,13 @@ def _in_order(times: Floats, table: LogTable, skip: int, *, counted: bool) -> ND
             "rows are doubled, out of order, or two runs stand in one file",
         )
         steps = np.diff(times[rows])
-        behind = times[rows[at + 2]] if at + 2 < rows.size else np.inf
-        if steps[at] == 0 or behind > times[before]:
+        usual = np.median(steps[steps > 0]) if np.any(steps > 0) else 0.0
+        if at and steps[at - 1] > 10 * usual and times[row] > times[rows[at - 1]]:
+            kept[before] = False  # it is the one before that leaps
+        elif not usual or steps[at] == 0 or at + 2 >= rows.size or times[rows[at + 2]] > times[before]:
             kept[row] = False
         else:
-            times[row:] += times[before] - times[row] + np.median(steps[steps > 0])
+            times[row:] += times[before] - times[row] + usual
 
 
 def _wrong_row(times: Floats, values: Floats, counted: bool) -> int | None:
@@ -383,12 +394,8 @@ class Dialect:
     header: list[str] | None  # cells of the line above the numbers that has as many columns, with their units
     first_line: int  # line of the first row
     is_empty: list[bool]  # of each column, whether nothing stands there
-    dated: bool  # whether the first row begins with a date alone
-
-    @property
-    def width(self) -> int:
-        """Columns."""
-        return len(self.is_empty)
+    dated: bool  # whether the first row begins with a date alone, and whether it has a clock time
+    clock: bool
 
 
 @dataclass(frozen=True)
@@ -424,6 +431,8 @@ def read_table(text: IO[str], names_of: Names, skip: int = 0) -> tuple[list[str]
             parts.append(numbers)
             lines.append(np.array(kept, dtype=np.int64))
     values = np.concatenate(parts)
+    if not values.size:
+        raise FileFormatError(f"no row can be read: {bad[0]}")
     if days:
         at = sum(name not in ("", DATE) for name in names[: names.index(TIME)])
         values[:, at] = _since_2000(values[:, at], list(days))
@@ -462,9 +471,10 @@ def _dialect(block: list[str]) -> Dialect:
             columns = zip(*(row for row in rows if len(row) == width), strict=True)
             is_empty = [not any(cells) for cells in columns]
             decimal_comma = comma and any("," in other for _, other in lines[place:])
-            return Dialect(separator, decimal_comma, header, number, is_empty, dated)
+            clock = any(":" in cell for cell in cells)
+            return Dialect(separator, decimal_comma, header, number, is_empty, dated, clock)
         if len(cells) != width and any(numeric) and all(numeric):
-            return Dialect(separator, False, header, number, [False] * width, False)
+            return Dialect(separator, False, header, number, [False] * width, False, False)
         if len(cells) == width:
             units = [cell.strip("[]() ") for cell in cells]
             if header is not None and any(units) and all(map(is_unit, units)):
@@ -484,15 +494,16 @@ def split_row(line: str, separator: str | None) -> list[str]:
 
 def _is_number(cell: str, decimal_comma: bool) -> bool:
     try:
-        _value(cell, decimal_comma, {})
+        _value(cell, decimal_comma, {} if ":" in cell else None)
     except ValueError:
         return False
     return True
 
 
-def _value(cell: str, decimal_comma: bool, days: dict[str, int]) -> float:
-    plain = cell.replace(",", ".") if decimal_comma else cell
-    return _clock_time(plain, days) if ":" in plain else float(plain)
+def _value(cell: str, decimal_comma: bool, days: dict[str, int] | None) -> float:
+    """A number, or where `days` are given a clock time."""
+    plain = (cell.replace(",", ".") if decimal_comma else cell).replace("_", "?")  # Python reads 1_000
+    return float(plain) if days is None else _clock_time(plain, days)
 
 
 def _numbers(
@@ -509,7 +520,7 @@ def _numbers(
         values = _plain_numbers([line for _, line in rows], dialect, names, wanted, days)
     except ValueError:
         values = np.empty((0, 0))
-    if values.shape == (len(rows), len(wanted)) and np.all(np.isfinite(values)):
+    if values.shape == (len(rows), len(wanted)) and np.all(np.abs(values) < _LARGEST):
         return values, [line for line, _ in rows]
     table, kept = np.empty((len(rows), len(wanted))), list[int]()
     for line, row in rows:
@@ -518,12 +529,13 @@ def _numbers(
             said = f"line {line} has {len(cells)} columns where {len(names)} ({', '.join(names)}) are expected"
             _leave_out(bad, skip, said, "correct or remove it")
             continue
-        if DATE in names and ":" in cells[names.index(TIME)]:
+        if DATE in names and dialect.clock:
             cells[names.index(TIME)] = f"{cells[names.index(DATE)]} {cells[names.index(TIME)]}"
         try:
             for column, place in enumerate(wanted):
-                table[len(kept), column] = _value(cells[place], dialect.decimal_comma, days)
-                if not np.isfinite(table[len(kept), column]):
+                its_days = days if dialect.clock and names[place] == TIME else None
+                table[len(kept), column] = _value(cells[place], dialect.decimal_comma, its_days)
+                if not abs(table[len(kept), column]) < _LARGEST:
                     raise ValueError
         except ValueError:
             said = f"line {line}: the {names[place]} is {cells[place][:40]!r}, no number"
@@ -544,16 +556,18 @@ def _plain_numbers(
     separator = dialect.separator
     if "#" in text or (separator and any(line.count(separator) != len(names) - 1 for line in lines)):
         raise ValueError
-    if ":" not in text and DATE not in names:
+    if not dialect.clock:
         columns = wanted if len(wanted) < len(names) else None
         return np.loadtxt(io.StringIO(text), delimiter=separator, ndmin=2, comments=None, usecols=columns)
     cells = list(zip(*(line.split(separator) for line in text.split("\n")), strict=True))
+    if len(cells) != len(names):
+        raise ValueError
     if DATE in names:
         at = names.index(TIME)
         cells[at] = tuple(map(" ".join, zip(cells[names.index(DATE)], cells[at], strict=True)))
     return np.stack(
         [
-            _clock_times(cells[at], days) if ":" in cells[at][0] else np.array(cells[at], dtype=float)
+            _clock_times(cells[at], days) if names[at] == TIME else np.array(cells[at], dtype=float)
             for at in wanted
         ],
         axis=1,
@@ -563,22 +577,24 @@ def _plain_numbers(
 # Clock times such as 12:30:01.25, or with a date; which day it was is told from all dates of the file.
 
 _DATE = re.compile(r"(\d{1,4})[-/.](\d{1,2})[-/.](\d{1,4})")
-_ORDERS = ("ymd", "mdy", "dmy")
+_PADDED = re.compile(r"[0-9]{2}:[0-9]{2}(:[0-9]{2}(\.[0-9]+)?)?")
+_CLOCK = re.compile(r"([01]?[0-9]|2[0-3]):([0-5]?[0-9])(?::([0-5]?[0-9](?:\.[0-9]*)?))?(?:Z|[+-]\d\d:?\d\d)?")
 
 
 def _clock_time(cell: str, days: dict[str, int]) -> float:
     """Seconds of a clock time, with the place of its date among `days` as whole days; or ValueError."""
     date, _, clock = cell.replace("T", " ").rpartition(" ")
-    hours, minutes, seconds = (*re.sub(r"(Z|[+-]\d\d:?\d\d)$", "", clock).split(":"), "0")[:3]
-    if date and not _DATE.fullmatch(date):
+    found = _CLOCK.fullmatch(clock)
+    if found is None or (date and not _DATE.fullmatch(date)):
         raise ValueError(cell)
-    return 86400.0 * days.setdefault(date, len(days)) + 3600.0 * int(hours) + 60.0 * int(minutes) + float(seconds)
+    seconds = 3600.0 * int(found[1]) + 60.0 * int(found[2]) + float(found[3] or 0)
+    return 86400.0 * days.setdefault(date, len(days)) + seconds
 
 
 def _clock_times(cells: Sequence[str], days: dict[str, int]) -> Floats:
     """The same of many that are written alike; ValueError where one is not."""
     dates, _, clocks = zip(*(cell.strip().replace("T", " ").rpartition(" ") for cell in cells), strict=True)
-    if not set("".join(clocks)) <= set("0123456789:.") or not all(map(_DATE.fullmatch, filter(None, set(dates)))):
+    if not all(map(_PADDED.fullmatch, clocks)) or not all(map(_DATE.fullmatch, filter(None, set(dates)))):
         raise ValueError
     clock = np.array([f"2000-01-01T{clock}" for clock in clocks], dtype="datetime64[ns]")
     day = np.array([days.setdefault(date, len(days)) for date in dates])
@@ -591,7 +607,7 @@ def _since_2000(numbered: Floats, dates: list[str]) -> Floats:
     if dates == [""]:
         return numbered + 86400.0 * np.concatenate([[0], np.cumsum(np.diff(numbered) < -43200.0)])
     # 03/04 may be a day in March or in April: a log goes on, so it is the order in which its days lie together
-    orders = [days for order in _ORDERS if (days := _days(dates, order)) is not None]
+    orders = [days for order in ("ymd", "mdy", "dmy") if (days := _days(dates, order)) is not None]
     if not orders:
         raise FileFormatError(f"{dates[0]!r} and the dates below are none that can be read: write 2026-03-31")
     return 86400.0 * np.array(min(orders, key=np.ptp))[day.astype(np.int64)] + clock
@@ -661,9 +677,9 @@ def clock_of_counter(counter: Floats) -> Places:
     if np.any(steps < 0):
         largest = int(numbers.max())
         # most wraps go on by one step if the counter begins again behind its largest
-        behind = np.flatnonzero(steps < 0)
-        usual = np.median((numbers[behind + 1] - numbers[behind]) % (largest + 1))
-        modulus = largest + 1 if usual == np.median(steps[steps > 0]) else 1 << largest.bit_length()
+        behind, up = np.flatnonzero(steps < 0), steps[steps > 0]
+        usual = np.median((numbers[behind + 1] - numbers[behind]) % (largest + 1)) if largest > 0 else 0
+        modulus = largest + 1 if up.size and usual == np.median(up) else 1 << largest.bit_length()
         steps = steps % modulus
     if np.any(steps == 0):
         raise ValueError(str(int(np.flatnonzero(steps == 0)[0]) + 1))
@@ -758,7 +774,8 @@ def _on_a_grid(times: Floats, step: float) -> tuple[float, Places] | None:
 def _first_interval(times: Floats) -> float:
     """Interval to a few per cent, from rows so far apart that their rounding counts little."""
     if times.size < _FEW_ROWS:
-        return float(np.median(np.diff(times)))
+        steps = np.diff(times)
+        return float(np.median(steps[steps > 0]))
     count = min(_CHUNK, times.size // 4)
     spans = np.sort((times[count:] - times[:-count]) / count)
     # missing rows make a span longer, so the shorter half is nearer to the truth
@@ -773,8 +790,11 @@ def _rows_apart(found: float, stated: float | None) -> int:
 
 def _in_phase(times: Floats, interval: float) -> Places:
     """Places by the phase of the stamps, which no missing row shifts: first a few of them, then ever more."""
-    count = min(_FIRST_ROWS, times.size)
+    # those before a long pause: there are as many trials as intervals
+    count = max(min(_FIRST_ROWS, int(np.searchsorted(times, 10 * _FIRST_ROWS * interval))), _FEW_ROWS)
     some = times[:count]
+    if some[-1] > 20 * _FIRST_ROWS * interval:
+        raise FileFormatError(_NO_CLOCK)
     trials = 1 / interval * (1 + np.arange(-_WIDEST, _WIDEST, 0.2 * interval / max(float(some[-1]), interval)))
     strength = np.array([abs(np.exp(2j * np.pi * trial * some).sum()) for trial in trials])
     frequency = float(trials[int(np.argmax(strength))])
@@ -806,7 +826,8 @@ def _within_bounds(times: Floats, step: float, first: float) -> Places:
     most = int(np.ptp(times) / max(interval, step)) + times.size
     while begin < times.size - 1 and missing.sum() < most:
         part = late[begin : begin + _REACH]
-        above = part - np.minimum.accumulate(part) > allowed
+        late_by = part - np.minimum.accumulate(part) - allowed
+        above = late_by > 0
         if not above.any():
             begin += max(1, min(_REACH // 2, part.size))
             continue
@@ -816,8 +837,9 @@ def _within_bounds(times: Floats, step: float, first: float) -> Places:
         rows = np.arange(max(0, before - _LOCAL), max(0, before - _LOCAL) + around.size)
         spreads = [float(np.ptp(around - interval * (rows >= at))) for at in range(before, last + 1)]
         at = before + int(np.argmin(spreads))
-        missing[at] += 1
-        late[at:] -= interval
+        number = max(1, int(late_by[last - begin] // interval))
+        missing[at] += number
+        late[at:] -= number * interval
     return np.arange(times.size) + np.cumsum(missing)
 
 

@@ -313,7 +313,9 @@ def evaluate(run: SavedRun, settings: FogSettings, choices: Mapping[str, Any]) -
     against = (
         (reference.scale_factor, reference.scale_factor_u) if reference else (settings.nominal_scale_factor, 0.0)
     )
-    numbers_u = _mapping_u(steps, rates, u)
+    number_u = np.array([row.conditions.get("number_u", 0.0) for row in steps], dtype=np.float64)
+    weight = u**-2.0
+    numbers_u = float(np.sum(weight * np.abs(rates) * number_u) / np.sum(weight * rates**2))
     if reference is not None and settings.selfcal.numbers == "fit":
         # the numbers were made of the scale factor that they are compared with: its error is in both
         against, numbers_u = (reference.scale_factor, abs(numbers_u - reference.scale_factor_u)), 0.0
@@ -390,13 +392,6 @@ def _contributions(
     }
     relative = {name: PPM * value / abs(fit.slope) for name, value in causes.items()}
     return {**relative, "table": PPM * against[1] / abs(against[0])}
-
-
-def _mapping_u(steps: Sequence[_Row], rates: NDArray[np.float64], u: NDArray[np.float64]) -> float:
-    """Uncertainty of the slope of the numbers, counts per deg/s: their errors have one sign, they share a base."""
-    number_u = np.array([row.conditions.get("number_u", 0.0) for row in steps], dtype=np.float64)
-    weight = u**-2.0
-    return float(np.sum(weight * np.abs(rates) * number_u) / np.sum(weight * rates**2))
 
 
 def _usable(run: SavedRun, settings: FogSettings) -> tuple[list[_Row], list[Excluded]]:

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from analysis import FrequencyFit, RatesFit, RatesFlag, flag_names
+from analysis import RatesFit, RatesFlag, flag_names
 from analysis.frequency_method import FrequencyFlag
 from analysis.lock_in_run import RateGroup
 from station.lock_in.evaluate import LockInEvaluation, describe_method
@@ -162,7 +162,10 @@ def result_document(found: LockInEvaluation) -> dict[str, Any]:
             "rates": [_group(group) for group in several.groups],
             "by_beat": None if several.by_beat is None else _rates_fit(several.by_beat),
             "by_table": None if several.by_table is None else _rates_fit(several.by_table),
-            "by_frequency": None if by_frequency is None else _frequency_fit(by_frequency),
+            "by_frequency": None
+            if by_frequency is None
+            else document(by_frequency, FREQUENCY_FIT)
+            | {"flags": [str(flag.name).lower() for flag in FrequencyFlag if flag & by_frequency.flags]},
             "problem": several.problem or None,
             "rates_without_beat": found.without_beat,
         }
@@ -200,11 +203,6 @@ def _rates_fit(fit: RatesFit) -> dict[str, Any]:
         "locked_up_to_dps": fit.at_least or None,
         "flags": [str(flag.name).lower() for flag in RatesFlag if flag & fit.flags],
     }
-
-
-def _frequency_fit(fit: FrequencyFit) -> dict[str, Any]:
-    flags = [str(flag.name).lower() for flag in FrequencyFlag if flag & fit.flags]
-    return document(fit, FREQUENCY_FIT) | {"flags": flags}
 
 
 def _group(group: RateGroup) -> dict[str, Any]:

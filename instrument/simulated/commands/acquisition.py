@@ -244,21 +244,13 @@ def _slope(state: ScopeState) -> float:
     return (second - first) / elapsed
 
 
-def _difference(state: ScopeState) -> float:
-    first, second = _heights(state)
-    return second - first
-
-
-def _distance(state: ScopeState) -> float:
-    first, second = (state.panel.number(f"CURSOR:VBARS:POSITION{number}") for number in (1, 2))
-    return second - first
-
-
 def _bar_answer(leaf: str) -> Query:
     """9.9E37 and an event where the bars meet no waveform."""
     compute = {
-        "HDELTa": _distance,
-        "VDELTa": _difference,
+        "HDELTa": lambda state: (
+            state.panel.number("CURSOR:VBARS:POSITION2") - state.panel.number("CURSOR:VBARS:POSITION1")
+        ),
+        "VDELTa": lambda state: _height(state, 2) - _height(state, 1),
         "HPOS1": lambda state: _height(state, 1),
         "HPOS2": lambda state: _height(state, 2),
         "SLOPE": _slope,

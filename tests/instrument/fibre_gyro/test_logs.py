@@ -266,3 +266,49 @@ def test_losses_in_words():
     assert losses == Losses(10, 3, 3, 1, 42, {"bad status": 2, "no header": 1})
     assert losses.describe() == "10 frames used, 3 missing, 3 damaged, 1 unusable (2 bad status, 1 no header)"
     assert Gap(4, 1.5, 0.01, 1, "frames lost").describe() == "frames lost: 1 output missing 1.5 s after the begin"
+
+
+WILD = [
+    ("time,counts\n0,1\n0.01,2\n1e30,3\n0.03,4\n", "line 5: 0.03 s comes after 1e+30 s"),
+    ("time,counts\n0,1\n0.01,2\n1e30,3\n", "the time goes from 0 s to 1e+30 s: is it the right column?"),
+    ("time,counts\n0,1\n0.01,2\n0.02,1\n9e6,3\n", "line 5: the time goes on by 9e+06 s at once"),
+    ("time,counts,status\n0,1,2\n1,2,1e300\n", "line 3: the status is 1e+300"),
+    ("counter,time,counts\n0,0,2\n1,0,1\n2,0,1\n", "line 3: 0 s comes after 0 s"),
+    ("time,counts\n12:00:00,1\n25:99:99,2\n12:00:02,3\n", "line 3: the time is '25:99:99', no number"),
+    ("time,counts\n12:00:00,1\n12:00:01,12:00:01\n", "line 3: the counts is '12:00:01', no number"),
+    ("time,counts\n12:00:00,1\n1.5,2\n12:00:02,3\n", "line 3: the time is '1.5', no number"),
+    ("time,counts\n0,1\n1_000,2\n3,4\n", "line 3: the time is '1_000', no number"),
+    (
+        "date,time,counts\n31.02.2026,12:00:00,1\n31.02.2026,12:00:01,2\n",
+        "none that can be read: write 2026-03-31",
+    ),
+    ("date,counts\n2026-03-31,1\n2026-03-31,2\n", "must be one column 'time'"),
+]
+
+
+@pytest.mark.parametrize(("text", "said"), WILD)
+def test_wild_stamps_take_neither_time_nor_memory(text, said):
+    """A stamp of 9e6 s made 9e8 places; a pause in the first rows as many trials."""
+    with pytest.raises(FileFormatError) as caught:
+        parse_gyro_log(text)
+    assert said in str(caught.value)
+
+
+def test_one_wild_stamp_does_not_change_the_unit_of_the_others():
+    rows = [f"{n / 100:.2f},{n}" for n in range(200)]
+    rows[70] = "3e11,70"  # in ms this would be 1979
+    log = parse_gyro_log("\n".join(["time,counts", *rows, ""]), skip_bad_rows=2)
+    assert log.interval_s == pytest.approx(0.01, rel=1e-6) and log.counts.size >= 199
+
+
+def test_rows_of_which_none_is_left():
+    with pytest.raises(FileFormatError, match="no row can be read: line 2: the counts is 'x'"):
+        parse_gyro_log("time,counts\n0,x\n1,y\n", skip_bad_rows=10)
+
+
+def test_a_long_pause_among_the_first_rows_is_a_gap():
+    stamps = np.concatenate([0.001 * np.arange(1500), 3000 + 0.001 * np.arange(60_000)])
+    stamps += np.random.default_rng(5).uniform(0, 2e-4, stamps.size)
+    log = parse_gyro_log("".join(f"{stamp:.6f},1\n" for stamp in stamps))
+    assert log.interval_s == pytest.approx(0.001, rel=1e-4)
+    assert log.losses.missing == pytest.approx(2_998_500, abs=100)

@@ -33,7 +33,7 @@ def test_kill_9_loses_no_acknowledged_record() -> None:
 
 @pytest.mark.skipif(sys.platform != "linux", reason="limits of memory are those of Linux")
 @pytest.mark.parametrize(
-    ("kind", "count"), [("csv", 60), ("isf", 150), ("toml", 80), ("runs", 40), ("commands", 60)]
+    ("kind", "count"), [("csv", 60), ("isf", 150), ("logs", 400), ("toml", 80), ("runs", 40), ("commands", 60)]
 )
 def test_a_damaged_file_is_read_or_refused(kind: str, count: int) -> None:
     """In a process of its own: it limits its memory."""

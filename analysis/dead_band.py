@@ -261,7 +261,7 @@ def fit_whole_corner(swept: Sweep, start: float) -> Corner:
     kept = np.maximum(1 - np.einsum("ni,ij,nj->n", jacobian, inverse, jacobian), 1 / near.sum())
     spread = np.maximum(fit.fun / kept, swept.pulses_u[near]) ** 2
     weights = inverse @ jacobian.T
-    # `spread` : (n,) variances of the steps.
+    # `spread` (n,): variances of the steps.
     # Each of these is that of a single residual, and where slips are strong few steps at the corner count. The sum
     # of their shares then has few degrees of freedom (Satterthwaite; the square of a squared residual is three
     # times that of its mean): the uncertainty is enlarged to what Student's distribution asks for.

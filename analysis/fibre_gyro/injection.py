@@ -322,7 +322,6 @@ def static_level(times: ArrayLike, static_times: ArrayLike, static: ArrayLike, s
         weights = np.zeros((at.size, when.size))
         weights[np.arange(at.size), place] = 1 - part
         weights[np.arange(at.size), place + 1] += part
-        weights = weights
         return StaticLevel(
             weights @ level, np.sqrt(weights**2 @ u**2), mean, mean_u, drift, drift_u, True, 0.0, weights
         )

@@ -386,7 +386,7 @@ def _block(estimate: LockInEstimate, rate: Floats, when: Floats) -> RatioBlock:
     turned = estimate.rate_given & (estimate.input_rate < 0) & (mirrored < as_it_is)
     off_diagonal = np.where(turned, -1.0, 1.0)[:, np.newaxis, np.newaxis]
     covariance = estimate.complex_ratio_covariance * np.where(np.eye(2, dtype=bool), 1.0, off_diagonal)
-    ratio, covariance = np.where(turned, -np.conj(rho), rho), covariance
+    ratio = np.where(turned, -np.conj(rho), rho)
     # A gyro inside lock-in gives a constant or nothing but noise; other faults say nothing about its rate.
     no_beat = (estimate.flags & int(Flag.NO_BEAT | Flag.CONSTANT)) != 0
     return RatioBlock(

@@ -292,13 +292,12 @@ class Stack:
             centred = _Centred.of(raw, missing, kind)
             if not np.all(np.isfinite(centred.centre)):
                 raise ValueError("volts holds infinite values")
-        blank = None
+        blank = None  # where raw codes hold what a scope sends where scan mode has no sample yet
         for row in np.flatnonzero(np.abs(centred.centre + centred.lowest - NO_DATA) < 1e-3):
             codes = raw[row][np.isfinite(raw[row])]
             if codes.max() <= LARGEST_CODE and np.array_equal(codes, np.rint(codes)):
                 blank = np.zeros(raw.shape, dtype=bool) if blank is None else blank
                 blank[row] = raw[row] == NO_DATA
-        blank = blank
         if blank is not None:
             missing = blank if missing is None else missing | blank
             centred = _Centred.of(raw, missing, kind)

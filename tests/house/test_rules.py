@@ -124,8 +124,8 @@ def test_the_house_can_be_taken_in() -> None:
     """Files, lines and classes of the product; a ceiling is lowered by whoever gets below it, never raised."""
     every = {name: count for folder in PACKAGES for name, count in lines(folder).items()}
     classes = [node for tree in OURS.values() for node in ast.walk(tree) if isinstance(node, ast.ClassDef)]
-    assert len(every) <= 260
-    assert sum(every.values()) <= 77_590
+    assert len(every) <= 259
+    assert sum(every.values()) <= 77_587
     assert len(classes) <= 695
 
 

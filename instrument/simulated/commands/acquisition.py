@@ -225,7 +225,6 @@ def _height(state: ScopeState, number: int) -> float:
     trace = state.trace(state.panel.text("CURSOR:SELECT:SOURCE"))
     if trace is None:
         raise Refusal(_SOURCE_OFF)
-    trace = trace
     point = round((_time(state, number) - trace.xzero) / trace.xincr)
     if not 0 <= point < trace.points or trace.codes[point] == NO_DATA:
         raise Refusal(_OFF_SCREEN)

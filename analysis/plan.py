@@ -266,21 +266,21 @@ def _planned(request: PlanRequest, ratios: tuple[float, ...]) -> Plan:
     averaging = math.sqrt(max(one.combined_u**2 - most.combined_u**2, 0.0) / (1 - 1 / MOST_RECORDS))
     fixed = math.sqrt(max(most.combined_u**2 - averaging**2 / MOST_RECORDS, 0.0))
     wanted = request.wanted_u * request.lock_in_rate
-    room = wanted**2 - fixed**2
-    if room <= 0:
-        room = (fixed / _FLOOR_SHARE) ** 2
+    room = wanted**2 - fixed**2 if wanted > fixed else (fixed / _FLOOR_SHARE) ** 2
     least = math.ceil(FEWEST_RECORDS / len(_rates(request, ratios, 1)))
     records = min(max(math.ceil(averaging**2 / room * (1 - 1e-9)), least), MOST_RECORDS)
-    rates = _rates(request, ratios, records)
-    budget = _budget(request, rates)
+    budget = _budget(request, rates := _rates(request, ratios, records))
     # where what is known beforehand bounds the rest, the variance does not go with the number of records
+    more = 1.2
     while budget.combined_u > wanted >= fixed * _CLOSE_TO_FLOOR and records < MOST_RECORDS:
-        records = min(math.ceil(1.2 * records), MOST_RECORDS)
-        rates = _rates(request, ratios, records)
-        budget = _budget(request, rates)
+        before, records = (budget.combined_u, records), min(math.ceil(more * records), MOST_RECORDS)
+        budget = _budget(request, rates := _rates(request, ratios, records))
+        fall = math.log(before[0] / budget.combined_u) / math.log(records / before[1])
+        more = min(max((budget.combined_u / wanted) ** (1 / max(fall, 0.1)), 1.05), 4.0)
     seconds = sum(rate.shape.records * (rate.shape.duration + request.seconds_between_records) for rate in rates)
-    reached = budget.combined_u <= wanted * (1 + 1e-6)
-    return Plan(request, rates, budget, reached, fixed / request.lock_in_rate, seconds)
+    return Plan(
+        request, rates, budget, budget.combined_u <= wanted * (1 + 1e-6), fixed / request.lock_in_rate, seconds
+    )
 
 
 def _rates(request: PlanRequest, ratios: tuple[float, ...], records: int) -> tuple[PlannedRate, ...]:

@@ -103,11 +103,11 @@ class SerialFogBench:
             return
         self._by_hand = now
         axis, end_up, run, temperature, also = now
-        asked = [f"Bring axis {axis} of the gyro to the table's axis, {'up' if end_up != -1 else 'upside down'}."]
+        how = "up" if end_up != -1 else "upside down"
+        asked = [] if "position" in wanted else [f"Bring axis {axis} of the gyro to the table's axis, {how}."]
         if run is not None:
             asked.append(f"For {run}: switch the gyro off, let it take {temperature:g} deg C, switch it on.")
-        if also is not None:
-            asked.append(str(also))
+        asked += [] if also is None else [str(also)]
         self._ask("\n".join([*asked, "Press Enter when done: "]))
 
     def _set_loop(self, held: bool) -> None:

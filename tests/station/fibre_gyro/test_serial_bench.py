@@ -13,7 +13,7 @@ import pytest
 
 from instrument.fibre_gyro import FibreGyroLink, Recording, parse_frame_format
 from instrument.simulated.fibre_gyro import GyroFault, GyroFaults, TcpGyroServer
-from station.fibre_gyro import eps, figures, selfcal, table, temperature, threshold
+from station.fibre_gyro import eps, figures, selfcal, sensitivity, table, temperature, threshold
 from station.fibre_gyro.bench import SerialFogBench
 from station.fibre_gyro.segments import PlannedSegment
 from station.fibre_gyro.selfcal import numbers_for
@@ -105,6 +105,24 @@ def test_a_table_run_over_the_link(served, fog_settings, result_of) -> None:
     assert result.document()["left_out"] == []
     assert bench.asked == ["Bring axis Z of the gyro to the table's axis, up.\nPress Enter when done: "]
     assert bench.gyro.rate_dps == 0.0
+
+
+def test_the_operator_is_asked_for_each_value_of_a_stimulus_and_for_each_position(
+    served, fog_settings, result_of
+) -> None:
+    ladder = {"values": [0.0, 2.0, 0.0], "rate_dps": 0.0, "record_s": 1.0, "settle_s": 0.1}
+    settings = fog_settings(gyro=GYRO, sensitivity=ladder)
+    bench = served(settings)
+    assert result_of("sensitivity", settings, bench, sensitivity.plan(settings)).document()["left_out"] == []
+    assert [question.splitlines()[1] for question in bench.asked] == [
+        f"Set the magnetic field to {value} mT." for value in (0, 2, 0)
+    ]
+    settings = fog_settings(gyro=GYRO, sensitivity={"tumble": True, "record_s": 1.0, "settle_s": 0.1})
+    bench.asked.clear()
+    result_of("sensitivity", settings, bench, sensitivity.plan(settings))
+    assert [question.splitlines()[0] for question in bench.asked] == [
+        f"Input axis of the gyro along {position} of the fixture." for position in sensitivity.POSITIONS
+    ]
 
 
 def test_a_lost_frame_is_told_and_a_slow_table_leaves_points_out(served, fog_settings, result_of) -> None:

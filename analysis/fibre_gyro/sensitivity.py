@@ -36,6 +36,7 @@ class StimulusResponse:
     slope_u: float
     reference: float  # s_0: the stimulus visited most often, of these the smallest
     by_reference: bool  # whether there is a reference before and after every other visit
+    repeated: bool  # whether there are more visits than unknowns, so that their scatter shows
     stimulus: Floats  # (n,): at each visit, and value less baseline there, with its standard uncertainty
     difference: Floats
     difference_u: Floats
@@ -69,19 +70,17 @@ def stimulus_response(stimulus: ArrayLike, value: ArrayLike, u: ArrayLike, at_s:
     >>> round(found.slope, 12)
     0.2
     """
-    s, values, noise, times = (np.asarray(one, dtype=np.float64) for one in (stimulus, value, u, at_s))
-    order = np.argsort(times)
-    s, values, noise, times = s[order], values[order], noise[order], times[order]
+    order = np.argsort(np.asarray(at_s))
+    s, values, noise, times = (np.asarray(one, dtype=np.float64)[order] for one in (stimulus, value, u, at_s))
     levels, visits = np.unique(s, return_counts=True)
     if s.size < 3 or levels.size < 2:
         raise ValueError("a sensitivity needs three means at two values of the stimulus")
-    often = levels[visits == visits.max()]
-    reference = float(often[np.argmin(np.abs(often))])
+    reference = float(min(levels[visits == visits.max()], key=abs))
     at_reference = np.flatnonzero(s == reference)
     by_reference = at_reference.size > 1 and at_reference[0] == 0 and at_reference[-1] == s.size - 1
     if by_reference:
-        eye = np.eye(at_reference.size)
-        baseline = np.stack([np.interp(times, times[at_reference], row) for row in eye], axis=1)
+        known = times[at_reference]
+        baseline = np.stack([np.interp(times, known, row) for row in np.eye(known.size)], axis=1)
     else:
         middle = times - times.mean()
         drifts = s.size > 3 and np.linalg.matrix_rank(np.stack([np.ones_like(s), middle, s])) == 3
@@ -106,6 +105,7 @@ def stimulus_response(stimulus: ArrayLike, value: ArrayLike, u: ArrayLike, at_s:
         scatter.standard_u(factors[-1]),
         reference,
         bool(by_reference),
+        not scatter.assumed,
         s,
         np.asarray(left @ values),
         np.array([scatter.standard_u(row) for row in left]),

@@ -161,12 +161,7 @@ def _six_positions(usable: Sequence[Usable], settings: FogSettings) -> SlopeFit:
 
 def _largest(which: str, part: str) -> Any:
     """The largest change, or its uncertainty."""
-
-    def got(found: SensitivityEvaluation) -> float | None:
-        response: StimulusResponse | None = getattr(found, which)
-        return None if response is None else float(getattr(response, part)[response.largest])
-
-    return got
+    return lambda found: (one := getattr(found, which)) and float(getattr(one, part)[one.largest])
 
 
 def _in_dph(part: str) -> Any:
@@ -233,7 +228,7 @@ def result(found: SensitivityEvaluation, run: SavedRun, settings: FogSettings) -
         summary=[("", line) for line in said[1:]],
         sentences=(
             _SIX if six else _CHANGES,
-            f"deg/h are by the scale factor by design, {found.scale_factor:.6g}.",
+            f"deg/h are by the scale factor by design, {found.scale_factor:.6g} {COUNTS_PER_DPS}.",
         ),
         to_watch=tuple(watched),
         flags=tuple(watched),
@@ -248,6 +243,11 @@ def _to_watch(found: SensitivityEvaluation, own: SensitivitySettings) -> list[st
             said.append(
                 f"The {name} was not seen at {response.reference:g} {own.unit} before and after all others: a "
                 "drift that is no straight line counts as sensitivity. Go back to it at the begin and the end."
+            )
+        if not response.repeated:
+            said.append(
+                f"No visit repeats another, so how the {name} scatters between visits is not in u: go through the "
+                f"values of the {own.stimulus} more than once."
             )
         if abs(response.bend) > _SIGNIFICANT:
             said.append(

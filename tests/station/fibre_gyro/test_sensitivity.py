@@ -92,6 +92,17 @@ def test_what_is_no_straight_line_and_what_has_no_reference_is_told(tmp_path, mo
     assert "was not seen at 1 mT before and after all others" in said
 
 
+def test_what_is_seen_once_is_not_known_to_repeat(tmp_path, monkeypatch, capsys):
+    """Three visits leave no residual: u would be the noise of the words alone."""
+    monkeypatch.chdir(tmp_path)
+    rng, once = np.random.default_rng(3), [0.0, 1.0, 0.0]
+    for ladder, told in ((once, True), ([*once, 1.0, 0.0], False)):
+        listed = logs(tmp_path, [{"stimulus": one} for one in ladder], [rng.normal(0, 1, 600) for _ in ladder])
+        found = run(capsys, listed)
+        assert any("No visit repeats another" in one for one in found["flags"]) == told
+        assert found["standing"] == ("doubtful" if told else "stands")
+
+
 def axes(rng) -> np.ndarray:
     return np.linalg.qr(rng.normal(size=(3, 3)))[0]
 

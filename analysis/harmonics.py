@@ -6,9 +6,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from analysis.arrays import Complexes, Floats
-from analysis.waveform.frequency import NanPolicy, Records, as_stack, coarse_frequency
-from analysis.waveform.series import Step
-from analysis.waveform.series_fit import gauss_newton_step, record_sums, two_sided
+from analysis.waveform.frequency import NanPolicy, Records, as_stack, coarse_frequency, records_at_once
+from analysis.waveform.series import Step, step_by_samples
 
 ITERATIONS = 12
 """Gauss-Newton converges quadratically here: 3 to 5 steps are used, the rest is for hopeless records."""
@@ -72,7 +71,9 @@ def fit_harmonics(
     if harmonics < 1:
         raise ValueError(f"harmonics is {harmonics}: at least 1 is needed")
     stack = as_stack(volts, sample_interval, nan_policy)
-    fitted = [_fit_part(stack.take(part), harmonics) for part in stack.parts()]
+    at_once = max(1, records_at_once(stack.n_samples, np.float64) // harmonics)
+    parts = [slice(begin, begin + at_once) for begin in range(0, max(len(stack.volts), 1), at_once)]
+    fitted = [_fit_part(stack.take(part), harmonics) for part in parts]
     omega, offset, noise, amplitudes, deviations = (np.concatenate(column) for column in zip(*fitted, strict=True))
     to_hertz = 1 / (2 * np.pi * sample_interval)
     middle = (stack.n_samples - 1) / 2
@@ -92,9 +93,7 @@ def fit_harmonics(
 
 def _fit_part(records: Records, harmonics: int) -> tuple[Floats, Floats, Floats, Complexes, Floats]:
     """Frequency, offset, noise (R,), amplitudes (R, harmonics), and standard uncertainty of each parameter."""
-    omega, offset, amplitudes, step = fit_free_harmonics(
-        records.values, records.weights, coarse_frequency(records.values), harmonics
-    )
+    omega, offset, amplitudes, step = _least_squares(records, coarse_frequency(records.values), harmonics)
     noise = np.sqrt(step.residual_power / np.maximum(records.count - 2 * harmonics - 2, 1))
     deviations = np.sqrt(np.diagonal(step.covariance(), axis1=-2, axis2=-1)) * noise[:, np.newaxis]
     blank = np.where(records.constant, np.nan, 1.0)
@@ -102,43 +101,31 @@ def _fit_part(records: Records, harmonics: int) -> tuple[Floats, Floats, Floats,
     return omega * blank, (offset + records.centre) * blank, noise, amplitudes * blanks, deviations * blanks
 
 
-def fit_free_harmonics(
-    values: Floats, weights: Floats | None, omega: Floats, harmonics: int, iterations: int = ITERATIONS
-) -> tuple[Floats, Floats, Complexes, Step]:
-    """Offset, frequency and independent harmonics; phases count from the middle of the record."""
-    n_records, n_samples = values.shape
-    tangents = np.broadcast_to(_free_tangents(harmonics), (n_records, 2 * harmonics + 1, 2 * harmonics + 1))
-    parameters = np.zeros((n_records, 2 * harmonics + 1))
+def _least_squares(records: Records, omega: Floats, harmonics: int) -> tuple[Floats, Floats, Complexes, Step]:
+    """Frequency, offset, amplitudes with their phases in the middle of the record, and the last equations."""
+    n_records, n_samples = records.values.shape
+    weights = np.ones((n_records, 1)) if records.weights is None else records.weights
+    index = np.arange(n_samples) - (n_samples - 1) / 2
+    orders = np.arange(1, harmonics + 1)[:, np.newaxis]
+    offset, amplitudes = np.zeros(n_records), np.zeros((n_records, harmonics), dtype=np.complex128)
+    tangents = np.ones((n_records, 2 * harmonics + 2, n_samples))
     # With all amplitudes zero the frequency has no influence: the first step solves the linear part alone.
     moving, going_on = 0.0, np.ones(n_records, dtype=bool)
-    for _ in range(iterations):
-        sums = record_sums(values, omega, harmonics, weights)
-        change = gauss_newton_step(sums, _free_coefficients(parameters), tangents).solve()
+    for _ in range(ITERATIONS + 1):
+        circle = np.exp(1j * omega[:, np.newaxis, np.newaxis] * orders * index)
+        waves = amplitudes[..., np.newaxis] * circle
+        tangents[:, 1:-1:2], tangents[:, 2:-1:2] = circle.real, -circle.imag
+        tangents[:, -1] = -(orders * waves.imag).sum(axis=1) * index * (2 / n_samples)
+        left = weights * (records.values - offset[:, np.newaxis] - waves.real.sum(axis=1))
+        step = step_by_samples(tangents * weights[:, np.newaxis], left)
+        change = step.solve()
+        if not going_on.any():
+            break
         change[~going_on] = 0.0  # each record stops by itself
-        parameters = parameters + change[:, :-1]
+        offset, amplitudes = offset + change[:, 0], amplitudes + change[:, 1:-1:2] + 1j * change[:, 2:-1:2]
         # Half a radian at the ends is the most that the linearisation can be trusted for.
         turn = moving * np.clip(change[:, -1], -0.5, 0.5)
         omega = np.clip(omega + turn * (2 / n_samples), 0.5 / n_samples, np.pi)
-        if moving:
-            going_on &= np.abs(turn) >= 1e-10
-            if not going_on.any():
-                break
+        going_on &= (np.abs(turn) >= 1e-10) | (moving == 0)
         moving = 1.0
-    sums = record_sums(values, omega, harmonics, weights)
-    step = gauss_newton_step(sums, _free_coefficients(parameters), tangents)
-    return omega, parameters[:, 0], parameters[:, 1::2] + 1j * parameters[:, 2::2], step
-
-
-def _free_coefficients(parameters: Floats) -> Complexes:
-    return two_sided(parameters[:, 0], parameters[:, 1::2] + 1j * parameters[:, 2::2])
-
-
-def _free_tangents(harmonics: int) -> Complexes:
-    """Derivatives of the two-sided coefficients by offset, Re c_1, Im c_1, ...; (2K+1, 2K+1)."""
-    size = 2 * harmonics + 1
-    tangents = np.zeros((size, size), dtype=np.complex128)
-    tangents[0, harmonics] = 1.0
-    for k in range(1, harmonics + 1):
-        tangents[2 * k - 1, [harmonics + k, harmonics - k]] = 0.5
-        tangents[2 * k, harmonics + k], tangents[2 * k, harmonics - k] = 0.5j, -0.5j
-    return tangents
+    return omega, offset, amplitudes, step

@@ -306,17 +306,18 @@ def _put_column(normal: Floats, row: int, with_conjugate: Phasors, without: Phas
 def equations_by_samples(values: Samples, weights: Samples | None, series: Series) -> Step:
     """Normal equations of (R,) records at the given parameters, in the precision of `values`."""
     tangents, left = _tangents(values, weights, series, drifting=False)
-    return _step(tangents, left)
+    return step_by_samples(tangents, left)
 
 
 def drift_by_samples(values: Samples, weights: Samples | None, series: Series) -> tuple[Floats, Floats]:
     """By how much the complex ratio of fitted records would change from the middle to the end if it drifted."""
     # The amplitude may drift beside it, by any share. One step from the minimum of a fit without.
-    change, covariance = _step(*_tangents(values, weights, series, drifting=True)).solve_and_invert()
+    change, covariance = step_by_samples(*_tangents(values, weights, series, drifting=True)).solve_and_invert()
     return change[:, 7:], covariance[:, 7:, 7:]
 
 
-def _step(tangents: Samples, left: Samples) -> Step:
+def step_by_samples(tangents: Samples, left: Samples) -> Step:
+    """Normal equations from the derivatives (R, P, N) of a model, frequency last, and what it leaves (R, N)."""
     normal = np.matmul(tangents, tangents.swapaxes(-1, -2))
     gradient = np.matmul(tangents, left[..., np.newaxis])[..., 0]
     power = np.vecdot(left, left)
@@ -611,11 +612,3 @@ def _power_sums(n: int) -> tuple[float, float, float]:
     s4 = s2 * (3 * q - 7) / 20
     s6 = s2 * (3 * q * q - 18 * q + 31) / 112
     return s2, s4, s6
-
-
-def hermitian_toeplitz(kernel: Phasors) -> Phasors:
-    """Matrix T[k, l] = kernel(k - l), kernel(-m) = conj kernel(m); (R, M) -> (R, M, M)."""
-    size = kernel.shape[-1]
-    difference = np.arange(size)[:, np.newaxis] - np.arange(size)
-    both = np.concatenate([np.conj(kernel[..., :0:-1]), kernel], axis=-1)
-    return np.asarray(both[..., difference + size - 1])

@@ -82,6 +82,7 @@ class Fault:
     channel: Callable[[np.random.Generator], Channel] | None = None  # instead of the stated pole
     hum: tuple[float, float] = (0.0, 0.0)  # harmonics of the mains, each over the beat
     shot_noise: bool = False
+    fifth_order: tuple[float, float] = (0.0, 0.0)  # fifth harmonic that the receiver makes of a sine
     widths: tuple[float, float] = (0.0, 0.0)  # of the converter's codes, rms error in levels
     copies: int = 1  # of every record
 
@@ -121,6 +122,7 @@ FAULTS = {
     "poles at 5 and 8 kHz": Fault(channel=_two_poles),
     "hum of 0.2 to 2 %": Fault(hum=(0.002, 0.02)),
     "shot noise": Fault(shot_noise=True),
+    "fifth order of 0.02 to 0.5 %": Fault(fifth_order=(2e-4, 5e-3)),
     "codes uneven by 0.05 to 0.3 levels": Fault(widths=(0.05, 0.3)),
     "every record ten times": Fault(copies=10),
 }
@@ -156,6 +158,7 @@ def outcome(plan: Plan, drift: float, fault: Fault | None, seed: int) -> Outcome
     receiver = Detector(start, second_order=2 * second, third_order=4 * third)
     channel: Channel = fault.channel(rng) if fault.channel else _one_pole(pole)
     hums = [_either(rng, fault.hum) * np.exp(2j * np.pi * rng.uniform()) for _ in range(6)]
+    fifth = _either(rng, fault.fifth_order) if fault.fifth_order[1] else 0.0
     widths = _either(rng, fault.widths) * rng.normal(size=300)
 
     visits = run_order(plan.rates)
@@ -179,7 +182,8 @@ def outcome(plan: Plan, drift: float, fault: Fault | None, seed: int) -> Outcome
                 continue
             phase = readout + between * math.copysign(0.5, rate) + turns * when[row]
             gyro = Gyro(true_k, then, phase, 0.0, 0.0, winking=winking)
-            seen = _signal(gyro, receiver, channel, rate, np.asarray(rng.uniform() + beat * times), beat)
+            turned = np.asarray(rng.uniform() + beat * times)
+            seen = _signal(gyro, receiver, fifth, channel, rate, turned, beat)
             # the light of a beat is never less than nothing: half of the noise is that of a contrast of 0.9
             noise = NOISE * np.sqrt(1 + seen / 1.1) if fault.shot_noise else NOISE
             volts = np.asarray(seen + noise * rng.normal(size=SAMPLES))
@@ -211,11 +215,13 @@ def outcome(plan: Plan, drift: float, fault: Fault | None, seed: int) -> Outcome
     )
 
 
-def _signal(gyro: Gyro, receiver: Detector, channel: Channel, rate: float, turns: Floats, beat: float) -> Floats:
+def _signal(
+    gyro: Gyro, receiver: Detector, fifth: float, channel: Channel, rate: float, turns: Floats, beat: float
+) -> Floats:
     """What leaves the channel at so many turns of the beat; its harmonics are taken from one period."""
     turning = math.copysign(2 * np.pi, rate) * np.arange(POINTS) / POINTS
     volts = detector_signal(gyro, receiver, np.full(POINTS, rate), np.asarray(turning))
-    lines = np.fft.rfft(volts) / POINTS
+    lines = np.fft.rfft(volts + 16 * fifth * volts**5) / POINTS
     lines = lines[: 1 + np.flatnonzero(np.abs(lines) > 1e-7)[-1]]
     lines[0] /= 2
     lines = lines * channel(beat * np.arange(float(lines.size)))

@@ -31,6 +31,7 @@ from analysis.several_rates.points import (
     rates_differ,
     records_of_arrays,
     records_of_estimates,
+    with_noise,
     with_rate_noise,
 )
 from analysis.several_rates.ratio_model import (
@@ -45,6 +46,7 @@ from analysis.several_rates.ratio_model import (
     all_solutions,
     beyond_first_order,
     fit_ratios,
+    predicted,
     third_order_by_third_harmonic,
     with_distortion_alone,
 )
@@ -81,6 +83,7 @@ COUNTED = ("distortion", "gain_corner", "bandwidth", "third_order")
 MORE_RECORDS = "take the other sense of rotation as well, or rates that differ by a factor of two and more"
 
 ENLARGED = "; enlarged to the scatter between records, which is more than that noise explains"
+UNEVEN = "; with what uneven codes of a converter add to third harmonics and ratios"
 UNLIKELY = 0.001
 CONTRADICTED = 15.0
 """What somebody stated is not used where chi-square is higher by more with it: nearly four standard deviations."""
@@ -277,6 +280,8 @@ def _fit(
         points = at_mean_times(points, found.parameters[:1])
         found = up_to(all_solutions(points.points, known), most)
     points, found = _beyond_first_order(points, found, _prior(chosen, known), most)
+    if chosen == "all" and reference == "beat":
+        points, found = _with_uneven_codes(points, found, known, most)
     points, found = _with_table_noise(points, found, _prior(chosen, known), most)
     fits: dict[Model, RatioFit] = {}
     for name, which in FREE.items():
@@ -293,23 +298,60 @@ def _fit(
 
 
 def _beyond_first_order(points: Points, found: RatioFit, prior: Prior, most: float) -> tuple[Points, RatioFit]:
-    """Points and minima, freed of what (1) leaves of third-order distortion, where the third harmonic shows it."""
-    # Ratios alone do not: what misfits looks like it.
+    """Points and minima, freed of what (1) leaves of the receiver."""
+    # Of third-order distortion only where the third harmonic shows it: what misfits the ratios looks like it.
     data = points.points
     alone, alone_u = third_order_by_third_harmonic(found.parameters[:1], data)
     third_order_u = np.sqrt(found.covariance[0, 5, 5])
-    if abs(alone) <= _SEEN * alone_u or abs(found.parameters[0, 5]) <= _SEEN * third_order_u:
-        return points, found
+    shown = abs(alone) > _SEEN * alone_u and abs(found.parameters[0, 5]) > _SEEN * third_order_u
     for _ in range(_PASSES):
-        best = found.parameters[:1]
+        best = np.where(np.arange(N_PARAMETERS) == 5, shown * found.parameters[:1], found.parameters[:1])
         ratio, third = (left[0] for left in beyond_first_order(best, data))
-        freed_data = replace(data, ratio=data.ratio - ratio, third=data.third - third)
-        found = fit_ratios(freed_data, prior, found.parameters)
-    freed = replace(points, points=freed_data)
+        freed = replace(points, points=replace(data, ratio=data.ratio - ratio, third=data.third - third))
+        found = fit_ratios(freed.points, prior, found.parameters)
     return freed, up_to(all_solutions(freed.points, prior), most)
 
 
-_SEEN, _PASSES = 5.0, 2
+_SEEN, _PASSES, _MOST_PASSES = 5.0, 4, 6
+
+
+def _with_uneven_codes(points: Points, found: RatioFit, prior: Prior, most: float) -> tuple[Points, RatioFit]:
+    """Points and minima, with what a converter's uneven codes make of third harmonics, and then of ratios."""
+    # Codes that are uneven each by itself add to the third harmonic what changes with ratio and amplitude, which
+    # no H explains; and to the real part of rho less than that, beside D.
+    for _ in range(_PASSES):
+        data = points.points
+        seen = data.third_weight > 0
+        left, u = (data.third - predicted(found.parameters[:1], data)[1])[..., seen], 1 / data.third_weight[seen]
+        freedom = left.size - 1
+        if freedom < 1 or scipy.special.chdtrc(freedom, float(np.sum((left / u) ** 2))) > UNLIKELY:
+            break
+        more = float(np.sum(left**2)) / freedom - float(np.mean(u**2))
+        if prior.sd[5] == 0 or not _NO_CODES**2 < more < _OF_CODES**2:
+            return points, found
+        freer = replace(data, third_weight=data.third_weight / np.sqrt(1 + more * data.third_weight**2))
+        points = replace(points, points=freer, uneven=math.hypot(points.uneven, math.sqrt(more)))
+        found = up_to(all_solutions(points.points, prior), most)
+    noisy, fit, more = points, found, 0.0
+    for _ in range(_MOST_PASSES):
+        degrees, chi_square = _degrees(fit[:1], noisy, prior), float(fit.chi_square[0])
+        by_chance = more == 0 and scipy.special.chdtrc(max(degrees, 1), chi_square) > UNLIKELY
+        if by_chance or chi_square <= degrees or degrees < 1:
+            break
+        more += (chi_square / degrees - 1) * float(np.mean(noisy.covariance[:, 0, 0]))
+        if not _NO_CODES**2 < more < max(points.uneven, _OF_RATIO) ** 2:
+            return points, found
+        noisy = with_noise(points, more * np.diag([1.0, _IMAGINARY]))
+        fit = up_to(all_solutions(noisy.points, prior), most)
+    return replace(noisy, uneven=math.hypot(points.uneven, math.sqrt(more))), fit
+
+
+_NO_CODES, _OF_CODES, _OF_RATIO = 3e-5, 0.004, 0.0015
+"""rms that is nothing, and that codes of eight bits add at most to a third harmonic and to a ratio."""
+
+_IMAGINARY = 0.1  # variance of the imaginary part over that of the real one
+
+_OF_ALL = 2.0  # half width of what codes do to the lock-in rate by all rates alike, where no record shows it
 
 _HARDLY = 0.7  # share of its uncertainty beforehand that the gain time has left, if the records hardly show it
 _MAYBE = 2.0  # standard uncertainties beyond which a drift of the lock-in rate may be there
@@ -377,6 +419,7 @@ def _result(
     failed = p_value < UNLIKELY
     if differ and (failed or _left_over(points, prior) <= 0) and not records.rate_of_beat:
         said = widened(said, _by_other_reference(points.points, said.value, common))
+    said = widened(said, _OF_ALL * points.uneven)
     said = with_coupling(said, fit, records.scale_factor, failed=failed or differ, by_beats=coupling)
     us, fitted = np.sqrt(np.diagonal(covariance)), np.where([True, True, *FREE[chosen]], 1.0, np.nan)
     at_least = _at_least(records, said.high)
@@ -420,7 +463,7 @@ def _result(
         each=FittedRecords(points.records, fit.parameters, said.value),
         at_least=at_least,
         flags=0,
-        noise_model=records.noise_model + (ENLARGED if widen > 1 else ""),
+        noise_model=records.noise_model + (UNEVEN if points.uneven else "") + (ENLARGED if widen > 1 else ""),
     )
     flags = rates_flags(result, records, _left_over(points, prior))
     return replace(result, flags=flags | (RatesFlag.RATE_AND_BEAT_DISAGREE if differ else 0))

@@ -508,6 +508,13 @@ class Points:
     places: Places  # Places Of the records among the points.
     points: RatioData  # RatioData One set of p means.
     rate_group: Indices  # (p,) Which of the different |W| each point has.
+    uneven: float = 0.0  # rms of what a converter's codes add to a third harmonic, over the beat
+
+    @property
+    def covariance(self) -> Floats:
+        """Of real and imaginary part of each point, (p, 2, 2)."""
+        whitening = self.points.whitening[0]
+        return np.linalg.inv(whitening @ whitening.swapaxes(-1, -2))
 
     @property
     def settings(self) -> int:
@@ -589,10 +596,13 @@ def at_mean_times(points: Points, parameters: Floats) -> Points:
 
 def with_rate_noise(points: Points, share: float) -> Points:
     """The points with one more uncertainty of their rates, a share of each: common to all records of a point."""
-    data = points.points
-    whitening = data.whitening[0]
-    covariance = np.linalg.inv(whitening @ whitening.swapaxes(-1, -2)) + _by_rate(data.ratio, share)
-    return replace(points, points=replace(data, whitening=whitening_factor(covariance)[np.newaxis]))
+    return with_noise(points, _by_rate(points.points.ratio, share))
+
+
+def with_noise(points: Points, more: Floats) -> Points:
+    """The points with one more covariance (..., 2, 2) of their ratios."""
+    whitening = whitening_factor(points.covariance + more)[np.newaxis]
+    return replace(points, points=replace(points.points, whitening=whitening))
 
 
 def _by_rate(ratio: Complexes, relative: Floats | float) -> Floats:

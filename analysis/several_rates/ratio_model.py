@@ -13,7 +13,7 @@ r harmonic ratio of the lock-in equation, b backscatter phase less readout phase
 the pole of L, over the mean of all. D and H, second- and third-order distortion of the receiver: the second and
 third harmonic that it makes of a pure sine of that mean amplitude, over its fundamental. The brackets are what a
 square and a cubic law make of the ratio of the geometric series that fits the distorted signal best, to first
-order in D and H (docs/several_rates.md); `beyond_first_order` has the rest for H.
+order in D and H (docs/several_rates.md); `beyond_first_order` has the rest.
 
 G and c are what the time T = 1/g_c does that the gain needs to follow the intensity: 1 for fast gain, and F =
 1/(1 + 2 pi i f T) and 1 far above lock-in. `gain_factors` has them at any rate: with equal backscatter of both
@@ -192,39 +192,46 @@ def by_cubic_law(own: Complexes) -> Complexes:
 
 
 def beyond_first_order(parameters: Floats, data: RatioData) -> tuple[Complexes, Floats]:
-    """What a cubic law adds to the ratio and to the third harmonic beside what (1) says of it."""
-    # (1) is of first order in H, and takes the light to be as large at every phase of the beat. Slow gain leaves
-    # it to wink: with q e^(...) of size r, the light of the fringes is (z - r)^2/[(1 - p z)(z - p*)], p = r G, and
-    # the cube of what the receiver sees of it has three times the winking in its fundamental.
+    """What distortion and pole make of the ratio and of the third harmonic beside what (1) says of it."""
+    # (1) is of first order in D and H, takes the pole's phases one by one, and the light to be as large at every
+    # phase of the beat. Slow gain leaves it to wink: with q e^(...) of size r, the light of the fringes is (z -
+    # r)^2/[(1 - p z)(z - p*)], p = r G, and the cube of what the receiver sees has three times the winking in its
+    # fundamental.
     # The lines d_n of the distorted signal come from one period of it. With D(w) = sum d_n w^(n-1), the geometric
     # series nearest to them has the ratio w* where (1 - |w|^2) |D(w)|^2 is largest, D'/D = w*/(1 - |w|^2), and the
     # fundamental (1 - |w|^2) D(w).
+    parameters = np.where(np.arange(N_PARAMETERS) == 4, np.maximum(parameters, 0.0), parameters)
     fast, slowness = _of_fast_gain(parameters, data)
     gain, turn = gain_factors(fast, slowness)
     own = fast * gain * turn
-    size = parameters[..., 5, np.newaxis] * data.amplitude**2
     possible = (np.abs(own) > _SMALLEST) & (np.abs(fast) < _LARGEST)
     fast, gain, own = np.where(possible, (fast, gain, own), np.array([0.5, 1.0, 0.5])[:, np.newaxis, np.newaxis])
-    distorted = _distorted(fast, gain, own, size)
+    x = data.angular * np.sqrt(parameters[..., 4, np.newaxis])
+    amplitude = data.amplitude * np.hypot(1.0, x)
+    second, third = parameters[..., 2, np.newaxis] * amplitude, parameters[..., 5, np.newaxis] * amplitude**2
+    lines = _distorted(fast, gain, own, second, third)
+    lines = lines / (1 + 1j * x[..., np.newaxis] * np.arange(1, lines.shape[-1] + 1))
     w = np.conj(own)
     for _ in range(_ROUNDS):
-        value, slope = _polynomial(distorted, w)
+        value, slope = _polynomial(lines, w)
         w = w + (1 - np.abs(own) ** 2) * (np.conj(slope * (1 - np.abs(w) ** 2) / value) - w)
-    value, _ = _polynomial(distorted, w)
+    value, _ = _polynomial(lines, w)
     turned = np.abs(value) / value
-    ratio = np.conj(w) * turned - own - size * by_cubic_law(own)
-    left = distorted[..., 2] - (1 - np.abs(w) ** 2) * value * np.conj(w) ** 2
-    third = (left * turned**3).real / np.abs(value) - size * third_harmonic_share(np.abs(own) ** 2)
-    return np.where(possible, ratio, 0.0), np.where(possible, third, 0.0)
+    left = lines[..., 2] - (1 - np.abs(w) ** 2) * value * np.conj(w) ** 2
+    ratio, rest = predicted(parameters, data)
+    ratio, rest = np.conj(w) * turned - ratio, (left * turned**3).real / np.abs(value) - rest
+    return np.where(possible, ratio, 0.0), np.where(possible, rest, 0.0)
 
 
 _SMALLEST, _LARGEST = 1e-8, 0.95  # ratios between which a cubic law is worked out
 
-_PHASES, _ROUNDS = 512, 6
+_PHASES, _ROUNDS = 512, 9
 
 
-def _distorted(fast: Complexes, gain: Complexes, own: Complexes, third_order: Floats) -> Complexes:
-    """Lines (..., L) of the beat behind a cubic law, its amplitude 1 and its fundamental real before it."""
+def _distorted(
+    fast: Complexes, gain: Complexes, own: Complexes, second_order: Floats, third_order: Floats
+) -> Complexes:
+    """Lines (..., L) of the beat behind a curved law, its amplitude 1 and its fundamental real before it."""
     square, rest = np.abs(fast) ** 2, 1 - np.abs(own) ** 2
     image = (1 - square * gain) ** 2 + (fast * (1 - gain)) ** 2
     constant = (np.conj(fast) * (square * gain + np.conj(gain) - 2)).real * rest / np.abs(image)
@@ -232,7 +239,7 @@ def _distorted(fast: Complexes, gain: Complexes, own: Complexes, third_order: Fl
     pole = 1 - own[..., np.newaxis] * phases
     signal = constant[..., np.newaxis] + (rest[..., np.newaxis] * phases / pole).real
     cubic = (third_order / (1 - 3 * third_order))[..., np.newaxis]
-    signal = (signal + 4 * cubic * signal**3) / (1 + 3 * cubic)
+    signal = (signal + 4 * cubic * signal**3) / (1 + 3 * cubic) + 2 * second_order[..., np.newaxis] * signal**2
     return np.asarray(2 / _PHASES * np.fft.rfft(signal)[..., 1:-1])
 
 

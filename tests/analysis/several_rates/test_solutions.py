@@ -164,10 +164,11 @@ def nearest_series(samples, circle):
     return complex(*found[:2]), complex(*found[2:4]), -left(found)
 
 
-def distorted(own, third_order, slowness=0.0):
-    """Ratio and third harmonic behind a cubic law of the beat with rho0 = `own` for fast gain.
+def distorted(own, third_order, slowness=0.0, second_order=0.0, lag=0.0):
+    """Ratio and third harmonic behind a curved law of the beat with rho0 = `own` for fast gain, and then a pole.
 
-    `slowness` is 2 pi f T: the light I of both beams is 1/(M psi'), M being 1/psi' behind one pole.
+    `slowness` is 2 pi f T: the light I of both beams is 1/(M psi'), M being 1/psi' behind one pole; `lag` that of
+    the channel.
     """
     circle = np.exp(2j * np.pi * np.arange(512) / 512)
     r, turn = abs(own), np.conj(own) / abs(own)
@@ -177,25 +178,26 @@ def distorted(own, third_order, slowness=0.0):
     first, ratio, _ = nearest_series(light.real, circle)
     clean = light.real * (1 - abs(ratio) ** 2) / abs(first)
     h = third_order / (1 - 3 * third_order)
-    first, ratio, left = nearest_series((clean + 4 * h * clean**3) / (1 + 3 * h), circle)
+    lines = np.fft.rfft((clean + 4 * h * clean**3) / (1 + 3 * h) + 2 * second_order * clean**2)
+    samples = np.fft.irfft(lines / (1 + 1j * lag * np.arange(lines.size)))
+    first, ratio, left = nearest_series(samples, circle)
     line = 2 * np.mean(left / circle**3) * (np.conj(first) / abs(first)) ** 3
     return ratio * abs(first) / first, line.real / (abs(first) / (1 - abs(ratio) ** 2))
 
 
-@pytest.mark.parametrize("slowness", [0.0, 0.3, 2.0])
+@pytest.mark.parametrize(("slow", "second", "lag"), [(0, 0, 0), (0.3, 0, 0), (2, 0, 0), (0.3, 0.01, 0.2)])
 @pytest.mark.parametrize("third_order", [0.01, -0.02])
 @pytest.mark.parametrize("phase", [0.4, 1.9, 4.4])
-def test_a_cubic_law_beyond_first_order(third_order, slowness, phase):
+def test_a_receiver_beyond_first_order(third_order, slow, second, lag, phase):
     rate = WL * np.array([1.1, 1.5, 3.0, 20.0])
     beat = np.sqrt(rate**2 - WL**2)
     nothing = np.zeros(rate.size)
-    whole = (np.zeros((1, 4, 2, 2)), np.ones(4), nothing, nothing, nothing, "beat")
+    whole = (np.zeros((1, 4, 2, 2)), np.full(4, (1 + lag**2) ** -0.5), nothing, nothing, nothing, "beat")
     data = RatioData(rate, beat, np.ones(4), nothing + 0j, *whole)
-    truth = np.array(
-        [[WL * np.cos(phase), WL * np.sin(phase), 0.0, slowness, 0.0, third_order, 0.0, 0.0, 0.0, 0.0]]
-    )
+    receiver = second, slow, lag**2, third_order
+    truth = np.array([[WL * np.cos(phase), WL * np.sin(phase), *receiver, 0.0, 0.0, 0.0, 0.0]])
     own = -np.exp(1j * phase) * WL / (rate + beat)
-    exact = np.array([distorted(one, third_order, slowness) for one in own]).T
+    exact = np.array([distorted(one, third_order, slow, second, lag) for one in own]).T
     first, more = predicted(truth, data), beyond_first_order(truth, data)
     assert np.abs(exact[0] - first[0]).max() > third_order**2 * np.abs(own).max()
     np.testing.assert_allclose((first[0] + more[0])[0], exact[0], rtol=1e-6)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import os
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
@@ -14,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from analysis.control_chart import FEWEST, RULES, ControlChart, control_chart
-from station.campaign.record import NAME, PAGE_FILE, RECORD_FILE
+from station.campaign.record import NAME, PAGE_FILE, RECORD_FILE, as_csv
 from station.files import version
 from station.live.console import duration
 from station.measurements import MEASUREMENTS, measurement
@@ -36,6 +37,7 @@ class Followed:
     u: float  # standard uncertainty; nan where nobody knows it
     axis: str = "value"  # what it is, and its unit
     limits: tuple[float | None, float | None] = (None, None)  # at least, at most
+    failed: bool = False
 
 
 @dataclass(frozen=True)
@@ -80,7 +82,7 @@ def _test(path: Path, record: Mapping[str, Any]) -> PastTest:
         for one in _numbers(step):
             before = numbers.setdefault(one.name, one)
             if before.limits == (None, None):
-                numbers[one.name] = replace(before, limits=one.limits)
+                numbers[one.name] = replace(before, limits=one.limits, failed=one.failed)
     return PastTest(
         path,
         str(unit["serial"]),
@@ -112,7 +114,31 @@ def _numbers(step: Mapping[str, Any]) -> Iterator[Followed]:
             ends = limit["low_95"], limit["high_95"]
             u = math.nan if None in ends else (ends[1] - ends[0]) / 3.92
             axis, limits = _axis(limit["number"], limit["unit"]), (limit["at_least"], limit["at_most"])
-            yield Followed(f"{name}{repeat}: {limit['name']}", float(limit["value"]), u, axis, limits)
+            of, failed = f"{name}{repeat}: {limit['name']}", limit.get("verdict") == "FAIL"
+            yield Followed(of, float(limit["value"]), u, axis, limits, failed)
+
+
+def failures(tests: Iterable[PastTest]) -> list[tuple[str, int]]:
+    """Limits that were not held, with the number of tests, from the most frequent on."""
+    return Counter(one.name for test in tests for one in test.numbers if one.failed).most_common()
+
+
+def history_csv(tests: Iterable[PastTest]) -> str:
+    """A row for each number of each test, of a test without any its verdict alone."""
+    about = ("unit", "unit_type", "is_reference", "started_at", "campaign", "verdict", "operator", "record")
+    names, nothing = ("number", "value", "u", "at_least", "at_most"), ("", *(None,) * 4)
+    rows = []
+    for test in tests:
+        told = (
+            *(test.unit, test.unit_type, test.is_reference, test.at),
+            test.campaign,
+            test.verdict,
+            test.operator,
+        )
+        for of in test.numbers or (None,):
+            number = (of.name, of.value, of.u if math.isfinite(of.u) else None, *of.limits) if of else nothing
+            rows.append(dict(zip((*about, *names), (*told, str(test.path), *number), strict=True)))
+    return as_csv([*about, *names], rows)
 
 
 def _axis(key: str, unit: str | None) -> str:
@@ -315,7 +341,7 @@ def _signals_of(last: PastTest, tests: list[PastTest]) -> list[str]:
 # The index of all tested units as a page: what became of each, and the control charts
 
 
-INDEX_FILE = "index.html"
+INDEX_FILE, _MOST = "index.html", 3
 _STATES = {"PASS": "good", "MARGINAL": "doubtful", "FAIL": "bad", "ERROR": "bad", "ABORTED": "bad"}
 
 
@@ -333,6 +359,8 @@ def write_index(
     if first:
         passed = sum(verdict == "PASS" for verdict in first.values())
         summary += f"; first-pass yield {passed} of {len(first)} ({passed / len(first):.0%})"
+    most = failures(tests)[:_MOST]
+    summary += "; failed most: " + ", ".join(f"{name} ({count})" for name, count in most) if most else ""
     rows = [
         {
             "at": one.at[:16].replace("T", " "),

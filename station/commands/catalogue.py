@@ -166,6 +166,7 @@ _SCHEMA = {"name": "gyrolock history", "version": 1}
     help="Where the page goes [DIR/index.html].",
 )
 @click.option("--page/--no-page", default=True, help="Write the page with the charts [yes].")
+@click.option("--csv", "as_csv", is_flag=True, help="CSV on stdout: one line for each number of each test.")
 @unused_config_option
 @json_option
 def history_command(
@@ -176,6 +177,7 @@ def history_command(
     baseline: int,
     out: Path | None,
     page: bool,
+    as_csv: bool,
     as_json: bool,
 ) -> int:
     """Show tested units and control charts: of a type of unit, and of the bench by its reference unit.
@@ -185,8 +187,10 @@ def history_command(
     on.
     Exit codes: 0 everything is in control, 1 the last value of a chart is not, 2 there is no test.
     """
-    from station.history import courses, read_tests, write_index
+    from station.history import courses, history_csv, read_tests, write_index
 
+    if as_json and as_csv:
+        raise click.UsageError("--json and --csv exclude each other")
     if not directory.is_dir():
         raise UsageError(f"{directory}: there is no such folder of tests")
     tests, unreadable = read_tests(directory)
@@ -204,7 +208,9 @@ def history_command(
             written = write_index(directory, tests, charts, out)
         except OSError as error:
             lost = one_line(error)
-    if as_json:
+    if as_csv:
+        say(history_csv(tests).replace("\r\n", "\n").rstrip("\n"))
+    elif as_json:
         print_json(_document(directory, tests, charts, unreadable, written))
     else:
         _print_history(tests, charts, written)
@@ -215,6 +221,7 @@ def history_command(
 
 
 def _print_history(tests: list[PastTest], charts: list[ControlSeries], written: Path | None) -> None:
+    from station.history import failures
     from station.live.console import stdout_console
     from station.report.show import text_table
     from station.results.result import TextTable
@@ -225,6 +232,8 @@ def _print_history(tests: list[PastTest], charts: list[ControlSeries], written: 
         for one in tests
     ]
     console.print(text_table(TextTable(("unit", "type", "begun, UTC", "verdict", "why"), tuple(rows)), left=5))
+    for name, count in failures(tests):
+        console.print(f"FAIL in {count} of {len(tests)} tests: {name}")
     for one in charts:
         console.print(f"\n{one.of}: {one.name}", style="bold")
         for sentence in one.sentences:

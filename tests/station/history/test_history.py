@@ -1,5 +1,7 @@
 """The history of tested units: charts by type and of the bench, its check, the command and its page."""
 
+import csv
+import io
 import json
 from collections.abc import Sequence
 from datetime import UTC, datetime, timedelta
@@ -160,3 +162,33 @@ def test_another_campaign_has_a_chart_of_its_own(tmp_path: Path) -> None:
         path.write_text(json.dumps({**record, "campaign": {"name": "two rates"}}))
     found = {one.of: one.chart.values.size for one in courses(read_tests(tmp_path)[0]) if "lock_in" in one.name}
     assert found == {"RLG, acceptance": 2, "RLG, two rates": 2}
+
+
+def failed(name: str, value: float) -> dict[str, Any]:
+    """A limit of a step, as far as histories read it."""
+    return {
+        "name": name, "number": name, "unit": None, "value": value, "low_95": value - 1, "high_95": value + 1,
+        "at_least": 0.0, "at_most": 5.0, "verdict": "FAIL" if value > 5 else "PASS",
+    }  # fmt: skip
+
+
+def test_what_failed_most_and_all_numbers_as_csv(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for place, (first, second) in enumerate([(9.0, 9.0), (9.0, 1.0), (1.0, 1.0), (9.0, 1.0)]):
+        write_record(tmp_path, f"=SN{place}", NOW - timedelta(hours=9 - place), 0.01)
+        path = next((tmp_path / f"=SN{place}").rglob("record.json"))
+        record = json.loads(path.read_text(encoding="utf-8"))
+        record["steps"][0]["limits"] = [failed("noise", first), failed("tilt", second)]
+        path.write_text(json.dumps(record), encoding="utf-8")
+    assert main(["history", str(tmp_path)]) in (0, 1)
+    told = capsys.readouterr().out
+    assert told.index("FAIL in 3 of 4 tests: lock-in: noise") < told.index("FAIL in 1 of 4 tests: lock-in: tilt")
+    page = (tmp_path / "index.html").read_text(encoding="utf-8")
+    assert "failed most: lock-in: noise (3), lock-in: tilt (1)" in page
+    main(["history", str(tmp_path), "--csv", "--no-page"])
+    rows = list(csv.DictReader(io.StringIO(capsys.readouterr().out)))
+    noise = [row for row in rows if row["number"] == "lock-in: noise"]
+    assert [float(row["value"]) for row in noise] == [9.0, 9.0, 1.0, 9.0]
+    assert noise[0]["at_most"] == "5.0" and float(noise[0]["u"]) == pytest.approx(2 / 3.92)
+    assert {row["number"] for row in rows} >= {"lock-in: noise", "lock-in: tilt", "lock-in: lock_in_rate_dps"}
+    assert noise[0]["unit"] == "'=SN0"  # no formula for a spreadsheet
+    assert main(["history", str(tmp_path), "--csv", "--json"]) == 2

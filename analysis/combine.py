@@ -206,14 +206,12 @@ def _mean_of(used: LockInEstimate, each: _ComplexRates) -> _CoherentMean:
 
 @dataclass(frozen=True)
 class _ComplexRates:
-    """WL exp(i beta') of each record, its variances along and across its own direction, and the standard
-    uncertainty in both of them by what is no noise.
-    """
+    """WL exp(i beta') of each record."""
 
     values: Complexes
-    radial: Floats
+    radial: Floats  # variances along and across its own direction
     tangential: Floats
-    misfit: Floats
+    misfit: Floats  # standard uncertainty in both by what is no noise
 
 
 def _complex_rates(used: LockInEstimate) -> _ComplexRates:

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from analysis.arrays import Complexes, Floats
-from analysis.waveform.frequency import NanPolicy, Records, as_stack, coarse_frequency, records_at_once
+from analysis.waveform.frequency import NanPolicy, Records, SpectralStart, as_stack, records_at_once
 from analysis.waveform.series import Step, step_by_samples
 
 ITERATIONS = 12
@@ -93,7 +93,9 @@ def fit_harmonics(
 
 def _fit_part(records: Records, harmonics: int) -> tuple[Floats, Floats, Floats, Complexes, Floats]:
     """Frequency, offset, noise (R,), amplitudes (R, harmonics), and standard uncertainty of each parameter."""
-    omega, offset, amplitudes, step = _least_squares(records, coarse_frequency(records.values), harmonics)
+    omega, offset, amplitudes, step = fit_free_harmonics(
+        records.values, records.weights, SpectralStart.of(records.values).omega, harmonics
+    )
     noise = np.sqrt(step.residual_power / np.maximum(records.count - 2 * harmonics - 2, 1))
     deviations = np.sqrt(np.diagonal(step.covariance(), axis1=-2, axis2=-1)) * noise[:, np.newaxis]
     blank = np.where(records.constant, np.nan, 1.0)
@@ -101,25 +103,27 @@ def _fit_part(records: Records, harmonics: int) -> tuple[Floats, Floats, Floats,
     return omega * blank, (offset + records.centre) * blank, noise, amplitudes * blanks, deviations * blanks
 
 
-def _least_squares(records: Records, omega: Floats, harmonics: int) -> tuple[Floats, Floats, Complexes, Step]:
+def fit_free_harmonics(
+    values: Floats, weights: Floats | None, omega: Floats, harmonics: int, iterations: int = ITERATIONS
+) -> tuple[Floats, Floats, Complexes, Step]:
     """Frequency, offset, amplitudes with their phases in the middle of the record, and the last equations."""
-    n_records, n_samples = records.values.shape
-    weights = np.ones((n_records, 1)) if records.weights is None else records.weights
+    n_records, n_samples = values.shape
+    weights = np.ones((n_records, 1)) if weights is None else weights
     index = np.arange(n_samples) - (n_samples - 1) / 2
     orders = np.arange(1, harmonics + 1)[:, np.newaxis]
     offset, amplitudes = np.zeros(n_records), np.zeros((n_records, harmonics), dtype=np.complex128)
     tangents = np.ones((n_records, 2 * harmonics + 2, n_samples))
     # With all amplitudes zero the frequency has no influence: the first step solves the linear part alone.
     moving, going_on = 0.0, np.ones(n_records, dtype=bool)
-    for _ in range(ITERATIONS + 1):
+    for number in range(iterations + 1):
         circle = np.exp(1j * omega[:, np.newaxis, np.newaxis] * orders * index)
         waves = amplitudes[..., np.newaxis] * circle
         tangents[:, 1:-1:2], tangents[:, 2:-1:2] = circle.real, -circle.imag
         tangents[:, -1] = -(orders * waves.imag).sum(axis=1) * index * (2 / n_samples)
-        left = weights * (records.values - offset[:, np.newaxis] - waves.real.sum(axis=1))
+        left = weights * (values - offset[:, np.newaxis] - waves.real.sum(axis=1))
         step = step_by_samples(tangents * weights[:, np.newaxis], left)
         change = step.solve()
-        if not going_on.any():
+        if number == iterations or not going_on.any():
             break
         change[~going_on] = 0.0  # each record stops by itself
         offset, amplitudes = offset + change[:, 0], amplitudes + change[:, 1:-1:2] + 1j * change[:, 2:-1:2]

@@ -266,16 +266,12 @@ def _fit_times(record: Floats, cut: Cut, levels: Levels) -> tuple[float, float, 
 
 @dataclass(frozen=True, eq=False)
 class _Edges:
-    """Edges that stand out: numbers, places and variances of these, all (E,).
-
-    `dither` is the noise in samples that would take as much from the rounding of a place to whole samples as the
-    shape of the edge does: its Fourier transform at the sampling rate, that of a single pole of its width.
-    """
+    """Edges that stand out: numbers, places and variances of these, all (E,)."""
 
     numbers: Floats
     places: Floats
     variances: Floats
-    dither: float
+    dither: float  # noise in samples that takes as much from the rounding of a place as the edge's one pole does
 
 
 def _edges(record: Floats, cut: Cut, levels: Levels) -> _Edges:

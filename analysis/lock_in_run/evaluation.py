@@ -496,7 +496,7 @@ def known_of_bench(found: LockInRun, slow: RecordArrays, knowledge: RunKnowledge
     return replace(
         stated,
         table=_table_geometry(found, knowledge),
-        third_order_limit=third_order_limit(found.each, stated.third_order_limit),
+        third_order_limit=third_order_limit(slow, found.each, stated.third_order_limit),
         separated=stated.separated | ({"distortion"} if found.quadratures is not None else set()),
     )
 

@@ -1,7 +1,7 @@
 """The records of one run as arrays, what is known of their bench, and the estimate of each."""
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from typing import Any, TypeVar
 
@@ -13,9 +13,9 @@ from analysis.budget.bench import LOWEST_GAIN_CORNER_HZ, SCALE_FACTOR_LIMIT, SEC
 from analysis.channel import ChannelResponse, correct_response
 from analysis.combine import combine_estimates
 from analysis.flags import FATAL, Flag
+from analysis.harmonics import fit_free_harmonics
 from analysis.lockin_equation import Relation
 from analysis.lockin_rate import LockInEstimate, estimate_lock_in, noise_model, with_ratio
-from analysis.several_rates.ratio_model import third_harmonic_share
 
 _RECORDS_AT_ONCE = 1000  # 20 MB of samples
 
@@ -257,21 +257,30 @@ def preliminary_lock_in(records: RecordArrays, scale_factor: float) -> Prelimina
     return PreliminaryLockIn(rate, max(rate - off, 0.0), (rate + off) * lost)
 
 
+# --------------------
+# Third-order distortion of the receiver, by the third harmonic of the records.
+#
+# The beat's own third harmonic is c3 = c2^2/c1, whatever second-order distortion adds. A cube adds a real number h
+# to c3 |c1|^-1 exp(-3i arg c1), the same in every record of one amplitude, and changes r by up to its share h
+# (`analysis.budget.bench`)
+
+
+_HARMONICS = 4
+_MOST_RECORDS = 400
+_AT_ONCE = 200
+
 _OWN_UNCERTAIN = 0.05  # share of the beat's own third harmonic, r^2, that a slow channel may take away
 
 _UNSTEADY = int(Flag.CLIPPED | Flag.RATE_WANDER | Flag.HARMONICS_ALIASED | Flag.SECOND_HARMONIC_ABOVE_NYQUIST)
 
 
-def third_order_limit(each: LockInEstimate, stated: float) -> float:
+def third_order_limit(slow: RecordArrays, each: LockInEstimate, stated: float) -> float:
     """Largest third harmonic that the receiver may make of a pure sine, over the sine, as the records show it."""
-    # A cube adds a real number h, the same in every record of one amplitude, and changes r by up to its share h
-    # (`analysis.budget.bench`).
-    good = each.usable & ((each.flags & _UNSTEADY) == 0) & np.isfinite(each.third_harmonic_u)
-    if not good.any():
+    good = each.usable & ((each.flags & _UNSTEADY) == 0)
+    found = list(_beside_own(slow, each, good))
+    if not found:
         return stated
-    own = each.ratio[good] ** 2
-    share = np.maximum(third_harmonic_share(own), 0.1)
-    beside, noise_u = each.third_harmonic.real[good] / share, each.third_harmonic_u[good] / share
+    beside, noise_u, own = (np.concatenate(column) for column in zip(*found, strict=True))
     weights = 1 / (noise_u**2 + (_OWN_UNCERTAIN * own) ** 2)
     weights /= weights.sum()
     seen = abs(float(weights @ beside))
@@ -279,3 +288,23 @@ def third_order_limit(each: LockInEstimate, stated: float) -> float:
     u = math.hypot(max(float(np.sqrt(weights**2 @ noise_u**2)), scatter), _OWN_UNCERTAIN * float(own.min()))
     most = seen + 2 * u
     return most if math.isnan(stated) else max(min(stated, most), seen - 2 * u)
+
+
+def _beside_own(slow: RecordArrays, each: LockInEstimate, good: Bools) -> Iterator[tuple[Floats, Floats, Floats]]:
+    """Of some records at a time: the third harmonic beside the beat's own, its noise, and r^2."""
+    left = _MOST_RECORDS
+    for batch in slow.batches:
+        kept = np.flatnonzero(good[batch.rows] & np.isfinite(batch.volts[0]).all(axis=-1))[:left]
+        left -= kept.size
+        for part in (kept[first : first + _AT_ONCE] for first in range(0, kept.size, _AT_ONCE)):
+            rows, volts = batch.rows[part], batch.volts[0][part]
+            omega = 2 * np.pi * batch.sample_interval * each.beat_frequency[rows]
+            # one step from amplitudes of zero: linear least squares at this frequency
+            centred = volts - volts.mean(axis=-1, keepdims=True)
+            _, _, c, _ = fit_free_harmonics(centred, None, omega, _HARMONICS, iterations=1)
+            size, turn = np.abs(c[:, 0]), np.exp(-1j * np.angle(c[:, 0]))
+            second, third = c[:, 1] / size * turn**2, c[:, 2] / size * turn**3
+            noise_u = each.noise_rms[rows] / size * math.sqrt(2 / volts.shape[1])
+            yield (third - second**2).real, noise_u, np.abs(second) ** 2
+        if left <= 0:
+            return

@@ -521,10 +521,7 @@ def fitted_curve(
 
 @dataclass
 class _TableEquations:
-    """The triangle that stands for the equations of all records, over their noise; right side in its last column.
-
-    It comes out of a QR decomposition, some records at a time: those of a million need no room.
-    """
+    """The triangle, by QR of some records at a time, that stands for the equations of all; right side last."""
 
     triangle: Floats
     # (6, s) sums over the records of a setting, by which they scatter about a mean: the distance to the power 0, 1

@@ -304,15 +304,18 @@ def _beyond_first_order(points: Points, found: RatioFit, prior: Prior, most: flo
     alone, alone_u = third_order_by_third_harmonic(found.parameters[:1], data)
     third_order_u = np.sqrt(found.covariance[0, 5, 5])
     shown = abs(alone) > _SEEN * alone_u and abs(found.parameters[0, 5]) > _SEEN * third_order_u
-    for _ in range(_PASSES):
+    u = np.sqrt(np.trace(points.covariance, axis1=-2, axis2=-1))
+    for number in range(_PASSES):
         best = np.where(np.arange(N_PARAMETERS) == 5, shown * found.parameters[:1], found.parameters[:1])
         ratio, third = (left[0] for left in beyond_first_order(best, data))
+        if number == 0 and not (shown or np.any(np.abs(ratio) > _NOTHING * u)):
+            return points, found
         freed = replace(points, points=replace(data, ratio=data.ratio - ratio, third=data.third - third))
         found = fit_ratios(freed.points, prior, found.parameters)
     return freed, up_to(all_solutions(freed.points, prior), most)
 
 
-_SEEN, _PASSES, _MOST_PASSES = 5.0, 4, 6
+_SEEN, _NOTHING, _PASSES, _MOST_PASSES = 5.0, 0.2, 4, 6
 
 
 def _with_uneven_codes(points: Points, found: RatioFit, prior: Prior, most: float) -> tuple[Points, RatioFit]:

@@ -148,11 +148,6 @@ def line_sizes(values: Samples) -> Sizes:
     return np.asarray(np.abs(_transformed(values)))
 
 
-def coarse_frequency(values: Samples) -> Floats:
-    """Angular frequency of the strongest line of centred records, rad per sample; (R, N) -> (R,)."""
-    return SpectralStart.of(values).omega
-
-
 # --------------------
 # Records as the fits want them: checked, two-dimensional, centred, missing samples weighted 0
 
@@ -214,27 +209,18 @@ def are_all(rows: Indices, n_records: int) -> bool:
 
 @dataclass(frozen=True)
 class Records:
-    """Some records of a stack, ready to be fitted.
+    """Some records of a stack, ready to be fitted."""
 
-    values : (R, N) volts less `centre`, 0 where missing
-    weights : (R, N) 1 or 0 in the same precision, or None where nothing is missing
-    centre, count : (R,) volts, and valid samples
-    constant : (R,) all valid samples equal, or none valid
-    lowest, highest : (R,) of `values`
-    at_lowest, at_highest : (R,) how many of one in `THINNING` samples have that value
-    exact : (R,) whether the exact fit is worth its time where the rate moves
-    """
-
-    values: Samples
-    weights: Samples | None
-    centre: Floats
-    count: Floats
-    constant: Bools
-    lowest: Samples
+    values: Samples  # (R, N) volts less `centre`, 0 where missing
+    weights: Samples | None  # (R, N) 1 or 0 in the same precision, or None where nothing is missing
+    centre: Floats  # (R,) volts
+    count: Floats  # (R,) of valid samples
+    constant: Bools  # (R,) all valid samples equal, or none valid
+    lowest: Samples  # (R,) of `values`
     highest: Samples
-    at_lowest: Counts
+    at_lowest: Counts  # (R,) how many of one in `THINNING` samples have that value
     at_highest: Counts
-    exact: Bools
+    exact: Bools  # (R,) whether the exact fit is worth its time where the rate moves
 
     def take(self, rows: Indices) -> Records:
         """Some of the records."""

@@ -336,11 +336,8 @@ def examine_lines(
 def _by_third_harmonic(
     residual: Residual, series: Series, mean: Floats, uneven: Bools, n_samples: int
 ) -> tuple[Floats, Bools]:
-    """Standard uncertainty of the ratio (R,) by a third harmonic alone, 0 where noise often has as much, and where
-    it is no chance.
-
-    It has one place, so that less than a line anywhere counts.
-    """
+    """Uncertainty of the ratio (R,) by a third harmonic, 0 where noise often has it; and where it is no chance."""
+    # It has one place, so that less than a line anywhere counts.
     third = np.abs(residual.third) * (n_samples / 2)
     level, rows = mean.copy(), np.flatnonzero(uneven)
     level[rows] = np.maximum(level[rows], _local_level(residual.lines[rows], 3 * series.omega[rows], n_samples))

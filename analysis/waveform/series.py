@@ -327,9 +327,7 @@ def step_by_samples(tangents: Samples, left: Samples) -> Step:
 def _tangents(
     values: Samples, weights: Samples | None, series: Series, *, drifting: bool
 ) -> tuple[Samples, Samples]:
-    """Derivatives (R, P, N) of the model, and what it leaves of the records; `drifting`: of the amplitude and of
-    both parts of the ratio that grow from the middle of the record, too.
-    """
+    """Derivatives (R, P, N), with `drifting` by growth of amplitude and ratio too, and what the model leaves."""
     n_records, n_samples = values.shape
     outer, inner = record_grid(n_samples)
     coarse, fine = (phasors(series.omega, index, values.dtype) for index in (outer, inner))

@@ -87,14 +87,12 @@ def exact_steps(phase: Floats, mean_rate: Floats, rate: Floats, sine: float, cos
 
 @dataclass(frozen=True)
 class _Edge:
-    """At one end of the steps: sine and cosine, the rate at which a disturbance dies, and the slopes of what a
-    change of s and c adds to the phase, as seen at the end of the step.
-    """
+    """At one end of the steps."""
 
     sin: Floats
     cos: Floats
-    pull: Floats
-    sine_slope: Floats
+    pull: Floats  # rate at which a disturbance dies
+    sine_slope: Floats  # of what a change of s, or of c, adds to the phase, as seen at the end of the step
     cosine_slope: Floats
 
     @staticmethod

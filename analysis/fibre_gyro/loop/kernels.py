@@ -69,10 +69,7 @@ def _add_up(log: Ints, pairs: Ints, sums: Ints) -> None:
 
 
 class _Loops:
-    """Registers of loops side by side, and the arrays that every pair writes into.
-
-    The time goes into calls of NumPy, not into numbers: no array is made in the loop where one can be kept.
-    """
+    """Registers of loops side by side, and the arrays that every pair writes into: making them takes the time."""
 
     def __init__(self, constants: LoopConstants, converter_phase: Floats, words: Ints, phases: Floats) -> None:
         runs = words.shape[0]

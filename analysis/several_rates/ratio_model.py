@@ -194,8 +194,8 @@ def by_cubic_law(own: Complexes) -> Complexes:
 def beyond_first_order(parameters: Floats, data: RatioData) -> tuple[Complexes, Floats]:
     """What distortion and pole make of the ratio and of the third harmonic beside what (1) says of it."""
     # (1) is of first order in D, H and P, and takes the light to be as large at every phase of the beat. Slow gain
-    # leaves it to wink: with q e^(...) of size r, the light of the fringes is (z - r)^2/[(1 - p z)(z - p*)], p = r G,
-    # and the cube of what the receiver sees has three times the winking in its fundamental.
+    # leaves it to wink: with q e^(...) of size r the light of the fringes is (z - r)^2/[(1 - p z)(z - p*)], p = r
+    # G, and the cube of what the receiver sees has three times the winking in its fundamental.
     # The lines d_n of the distorted signal come from one period of it. With D(w) = sum d_n w^(n-1), the geometric
     # series nearest to them has the ratio w* where (1 - |w|^2) |D(w)|^2 is largest, D'/D = w*/(1 - |w|^2), and the
     # fundamental (1 - |w|^2) D(w).

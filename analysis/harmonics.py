@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike
 
 from analysis.arrays import Complexes, Floats
 from analysis.waveform.frequency import NanPolicy, Records, SpectralStart, as_stack, records_at_once
-from analysis.waveform.series import Step, step_by_samples
+from analysis.waveform.series import Step, carrier_of, phasors, record_grid, step_by_samples
 
 ITERATIONS = 12
 """Gauss-Newton converges quadratically here: 3 to 5 steps are used, the rest is for hopeless records."""
@@ -76,8 +76,7 @@ def fit_harmonics(
     fitted = [_fit_part(stack.take(part), harmonics) for part in parts]
     omega, offset, noise, amplitudes, deviations = (np.concatenate(column) for column in zip(*fitted, strict=True))
     to_hertz = 1 / (2 * np.pi * sample_interval)
-    middle = (stack.n_samples - 1) / 2
-    at_start = np.exp(-1j * np.outer(omega * middle, np.arange(1, harmonics + 1)))
+    at_start = np.exp(-0.5j * (stack.n_samples - 1) * np.outer(omega, np.arange(1, harmonics + 1)))
     shape = stack.shape
     return HarmonicFit(
         frequency=(omega * to_hertz).reshape(shape),
@@ -98,9 +97,9 @@ def _fit_part(records: Records, harmonics: int) -> tuple[Floats, Floats, Floats,
     )
     noise = np.sqrt(step.residual_power / np.maximum(records.count - 2 * harmonics - 2, 1))
     deviations = np.sqrt(np.diagonal(step.covariance(), axis1=-2, axis2=-1)) * noise[:, np.newaxis]
-    blank = np.where(records.constant, np.nan, 1.0)
-    blanks = blank[:, np.newaxis]
-    return omega * blank, (offset + records.centre) * blank, noise, amplitudes * blanks, deviations * blanks
+    blank = np.where(records.constant, np.nan, 1.0)[:, np.newaxis]
+    offset = (offset + records.centre) * blank[:, 0]
+    return omega * blank[:, 0], offset, noise, amplitudes * blank, deviations * blank
 
 
 def fit_free_harmonics(
@@ -108,28 +107,30 @@ def fit_free_harmonics(
 ) -> tuple[Floats, Floats, Complexes, Step]:
     """Frequency, offset, amplitudes with their phases in the middle of the record, and the last equations."""
     n_records, n_samples = values.shape
-    weights = np.ones((n_records, 1)) if weights is None else weights
-    index = np.arange(n_samples) - (n_samples - 1) / 2
-    orders = np.arange(1, harmonics + 1)[:, np.newaxis]
+    whole, weights = weights is None, np.ones((n_records, 1)) if weights is None else weights
+    index = (np.arange(n_samples) - (n_samples - 1) / 2) * (2 / n_samples)
     offset, amplitudes = np.zeros(n_records), np.zeros((n_records, harmonics), dtype=np.complex128)
     tangents = np.ones((n_records, 2 * harmonics + 2, n_samples))
     # With all amplitudes zero the frequency has no influence: the first step solves the linear part alone.
-    moving, going_on = 0.0, np.ones(n_records, dtype=bool)
+    going_on = np.ones(n_records, dtype=bool)
     for number in range(iterations + 1):
-        circle = np.exp(1j * omega[:, np.newaxis, np.newaxis] * orders * index)
-        waves = amplitudes[..., np.newaxis] * circle
-        tangents[:, 1:-1:2], tangents[:, 2:-1:2] = circle.real, -circle.imag
-        tangents[:, -1] = -(orders * waves.imag).sum(axis=1) * index * (2 / n_samples)
-        left = weights * (values - offset[:, np.newaxis] - waves.real.sum(axis=1))
-        step = step_by_samples(tangents * weights[:, np.newaxis], left)
+        coarse, fine = (phasors(omega, place, values.dtype) for place in record_grid(n_samples))
+        carrier = carrier_of(coarse, fine, n_samples)
+        left, slope, wave = values - offset[:, np.newaxis], np.zeros(values.shape), np.ones_like(carrier)
+        for order, amplitude in enumerate(amplitudes.T, 1):
+            wave *= carrier
+            tangents[:, 2 * order - 1], tangents[:, 2 * order] = wave.real, -wave.imag
+            left -= (beat := amplitude[:, np.newaxis] * wave).real
+            slope -= order * beat.imag
+        tangents[:, -1] = slope * index
+        step = step_by_samples(tangents if whole else tangents * weights[:, np.newaxis], left * weights)
         change = step.solve()
         if number == iterations or not going_on.any():
             break
         change[~going_on] = 0.0  # each record stops by itself
         offset, amplitudes = offset + change[:, 0], amplitudes + change[:, 1:-1:2] + 1j * change[:, 2:-1:2]
         # Half a radian at the ends is the most that the linearisation can be trusted for.
-        turn = moving * np.clip(change[:, -1], -0.5, 0.5)
+        turn = (number > 0) * np.clip(change[:, -1], -0.5, 0.5)
         omega = np.clip(omega + turn * (2 / n_samples), 0.5 / n_samples, np.pi)
-        going_on &= (np.abs(turn) >= 1e-10) | (moving == 0)
-        moving = 1.0
+        going_on &= (np.abs(turn) >= 1e-10) | (number == 0)
     return omega, offset, amplitudes, step

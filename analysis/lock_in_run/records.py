@@ -266,8 +266,7 @@ def preliminary_lock_in(records: RecordArrays, scale_factor: float) -> Prelimina
 
 
 _HARMONICS = 4
-_MOST_RECORDS = 400
-_AT_ONCE = 200
+_MOST_RECORDS, _AT_ONCE = 400, 40
 
 _OWN_UNCERTAIN = 0.05  # share of the beat's own third harmonic, r^2, that a slow channel may take away
 

@@ -353,7 +353,6 @@ _NO_CODES, _OF_CODES, _OF_RATIO = 3e-5, 0.004, 0.0015
 """rms that is nothing, and that codes of eight bits add at most to a third harmonic and to a ratio."""
 
 _IMAGINARY = 0.1  # variance of the imaginary part over that of the real one
-
 _OF_ALL = 2.0  # half width of what codes do to the lock-in rate by all rates alike, where no record shows it
 
 _HARDLY = 0.7  # share of its uncertainty beforehand that the gain time has left, if the records hardly show it

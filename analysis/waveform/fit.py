@@ -207,16 +207,17 @@ def _beside_third_harmonics(values: Samples, masks: Masks, fit: SeriesFit, left:
     """Fit records again of which a third harmonic is left that bends the last step; fit and left are changed."""
     # A step moves q by about 2 q* h from where the spectrum has it, h being that harmonic over the first, and is
     # then wrong by 2 h times itself: alike in every record of a run, so that no mean takes it out.
-    n_samples, size = values.shape[1], np.abs(fit.series.first)
+    n_samples, size, ratio = values.shape[1], np.abs(fit.series.first), np.abs(fit.series.ratio)
     noise = np.sqrt(np.maximum(2 * left.power - n_samples * np.abs(left.third) ** 2, 0.0)) / n_samples
-    wrong = 4 * np.abs(fit.series.ratio) * np.abs(left.third) ** 2
-    rows = never_alone(np.flatnonzero((wrong > BENDS * noise * size) & (np.abs(fit.series.ratio) < PLAIN_RATIO)))
-    if rows.size:
-        mask = masks.of_any(rows)
-        some = values[rows] if mask is None else values[rows] * mask
-        refitted, _ = gauss_newton(Task.of(some, mask), fit.series.take(rows))
-        fit.put(rows, refitted)
-        left.put(rows, residual_of(some, Masks.of(some, mask), refitted.series))
+    bent = (4 * ratio * np.abs(left.third) ** 2 > BENDS * noise * size) & (ratio < PLAIN_RATIO)
+    whole = masks.whole(np.arange(len(values)))
+    for masked in (False, True):  # apart, so that no record's last digits depend on another's mask
+        if (rows := never_alone(np.flatnonzero(bent & (whole != masked)))).size:
+            mask = masks.of_all(rows) if masked else None
+            some = values[rows] if mask is None else values[rows] * mask
+            refitted, _ = gauss_newton(Task.of(some, mask), fit.series.take(rows))
+            fit.put(rows, refitted)
+            left.put(rows, residual_of(some, Masks.of(some, mask), refitted.series))
 
 
 BENDS = 0.01  # share of the uncertainty of a ratio that it may be wrong by

@@ -39,3 +39,19 @@ def test_the_ratio_beside_a_third_harmonic_is_that_of_least_squares(ratio, third
     u = noise * np.sqrt(2 / samples)
     assert np.abs(np.abs(found.complex_ratio) - np.abs(exact)).max() < 0.03 * u
     assert np.abs(found.complex_ratio - exact).max() < 0.06 * u
+
+
+def test_a_record_beside_a_third_harmonic_does_not_depend_on_the_others():
+    rng = np.random.default_rng(3)
+    times, records = np.arange(2500), []
+    for number in range(21):
+        circle = np.exp(1j * (2 * np.pi * rng.uniform(8, 40) / 2500 * times + rng.uniform(0, 6)))
+        own = 0.17 * np.exp(1j * rng.uniform(0, 6))
+        volts = (circle / (1 - own * circle) + 0.01 * circle**3).real + 0.01 * rng.normal(size=2500)
+        volts = np.round(100 * np.clip(volts, -0.85, 0.85) if number % 3 == 0 else 100 * volts) / 100
+        volts[100 : 150 if number % 7 == 1 else 100] = np.nan
+        records.append(volts)
+    asked = {"scale_factor": 2000.0, "nan_policy": "omit"}
+    together = estimate_lock_in(np.array(records), 2e-5, **asked)
+    alone = [estimate_lock_in(volts, 2e-5, **asked).complex_ratio for volts in records]
+    np.testing.assert_array_equal(together.complex_ratio, alone)

@@ -66,6 +66,7 @@ class Quantity:
     form: str = "{}"  # how a value without uncertainty is written: "{:+g} codes"
     u_last: bool = False  # "bias_instability_dph_u": older keys have the word behind the unit
     doc: str = ""  # what it is, where its name does not say it
+    shown: str = ""  # its unit as a person reads it, where its key has none
 
     def key(self, what: str = "") -> str:
         """Name in JSON; `what` is one of "u", "low_95", "high_95"."""
@@ -118,7 +119,7 @@ class Quantity:
             low, high = (
                 (value - _COVERAGE * u, value + _COVERAGE * u) if math.isfinite(u) else (math.nan, math.nan)
             )
-        return Value(value, UNITS.get(self.unit, ""), low, high, of, u, self)
+        return Value(value, UNITS.get(self.unit, self.shown), low, high, of, u, self)
 
 
 _NUMBERS = ("value", "u", "low_95", "high_95")
@@ -185,9 +186,10 @@ class Value:
 
     @classmethod
     def from_json(cls, saved: Mapping[str, Any]) -> Self:
-        """Return what was saved; of an early version without the declared name its key stands for it."""
+        """Return what was saved; an early version has the key alone."""
         name = saved.get("name") or ""
-        stem = saved.get("quantity") or name
+        ends = (f"_{key}" for key, unit in UNITS.items() if unit == saved["unit"] and name.endswith(f"_{key}"))
+        stem = saved.get("quantity") or name.removesuffix(next(ends, ""))
         quantity = Quantity(stem, name.removeprefix(stem)[1:])
         numbers = {one: _number(saved.get(one)) for one in _NUMBERS}
         return cls(unit=saved["unit"], of=saved["of"] or "", quantity=quantity, **numbers)
@@ -298,25 +300,13 @@ def repeated(quantities: Iterable[Quantity]) -> tuple[Quantity, ...]:
 
 
 def decimals_of(u: float) -> int:
-    """Places behind the point of two digits of an uncertainty.
-
-    >>> decimals_of(1.2e-5), decimals_of(0.0996), decimals_of(120.0)
-    (6, 2, -1)
-    """
+    """Places behind the point of two digits of an uncertainty."""
     places = 1 - math.floor(math.log10(u))
     return places - (round(u * 10.0**places) >= 100)  # 0.0996 is written with the digits of 0.10
 
 
 def within(value: float, low: float, high: float, unit: str = "") -> str:
-    """Write a value with its 95 % interval, to two digits of its half width.
-
-    Examples
-    --------
-    >>> within(0.0099977, 0.0099879, 0.0100075, "deg/s"), within(0.0001, 0.0, 0.00069)
-    ('0.0099977 ± 0.0000098 deg/s', 'below 0.00069')
-    >>> within(0.02, 0.011, 0.024, "deg/s")
-    '0.0200 (0.0110 to 0.0240) deg/s'
-    """
+    """Write a value with its 95 % interval, to two digits of its half width."""
     tail, half = f" {unit}" if unit else "", (high - low) / 2
     if not math.isfinite(value):
         return "none"

@@ -131,15 +131,7 @@ class Result:
 
 
 def with_uncertainty(value: float, u: float, unit: str = "") -> str:
-    """Write a value with its standard uncertainty in the last digits.
-
-    >>> with_uncertainty(0.0100023, 0.0000121, "deg/s")
-    '0.010002(12) deg/s'
-    >>> with_uncertainty(159.9912, 0.25, "Hz")
-    '159.99(25) Hz'
-    >>> with_uncertainty(36.1, 12.0)
-    '36(12)'
-    """
+    """Write a value with its standard uncertainty in the last digits."""
     tail = f" {unit}" if unit else ""
     if not math.isfinite(value):
         return "none"
@@ -152,13 +144,7 @@ def with_uncertainty(value: float, u: float, unit: str = "") -> str:
 
 
 def with_prefix(value: float, unit: str) -> str:
-    """Write a value with the unit prefix that fits.
-
-    >>> with_prefix(0.025, "s/div")
-    '25 ms/div'
-    >>> with_prefix(0.000004, "s")
-    '4 µs'
-    """
+    """Write a value with the unit prefix that fits."""
     if value == 0 or not math.isfinite(value):
         return f"{value:g} {unit}"
     for factor, prefix in ((1e9, "G"), (1e6, "M"), (1e3, "k"), (1.0, ""), (1e-3, "m"), (1e-6, "µ"), (1e-9, "n")):
@@ -168,11 +154,7 @@ def with_prefix(value: float, unit: str) -> str:
 
 
 def ppm(value: float, u: float = math.nan) -> str:
-    """Write a signed value in ppm with its uncertainty.
-
-    >>> ppm(999.9213, 0.43), ppm(float("nan"))
-    ('+999.92(43) ppm', 'none')
-    """
+    """Write a signed value in ppm with its uncertainty."""
     if not math.isfinite(value):
         return "none"
     text = with_uncertainty(value, u) if math.isfinite(u) and u > 0 else f"{value:.4g}"

@@ -7,13 +7,15 @@ assessment), sections 8.2 (simple acceptance) and 8.3 (guard bands).
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 from typing import Any, Literal
 
 from scipy.special import ndtr
 
 from station.errors import EXIT_FAIL, EXIT_MARGINAL, EXIT_NO_SIGNAL, EXIT_OK
-from station.results.quantity import Quantity, Value, value_at
-from station.results.result import Result
+from station.results.derived import budgeted_values, derived_values
+from station.results.quantity import Quantities, Quantity, Value, value_at
+from station.results.result import Result, Validity
 
 Verdict = Literal["PASS", "FAIL", "MARGINAL", "ERROR", "ABORTED"]
 Rule = Literal["none", "U95", "simple"]
@@ -43,6 +45,15 @@ class Limit:
     # is not asked for.
     rule: Rule = "U95"
     highest_risk: float = 0.5  # with "simple": no PASS and no FAIL whose risk of being wrong is above this share
+    # another number that is taken off, or that it is divided by: ``"NUMBER"`` of the same result, or of a step
+    # before, ``"STEP: NUMBER"``
+    less: str = ""
+    over: str = ""
+
+    @property
+    def relation(self) -> str:
+        """How the number goes with another one: ``" less cold: lock_in_rate_dps"``; empty if it stands alone."""
+        return f" less {self.less}" if self.less else f" over {self.over}" if self.over else ""
 
 
 @dataclass(frozen=True)
@@ -78,17 +89,13 @@ class LimitOutcome:
     @property
     def name(self) -> str:
         """Name of the number, with what it is of where there are several."""
-        return f"{self.limit.number} of {self.measured.of}" if self.measured.of else self.limit.number
+        of = f" of {self.measured.of}" if self.measured.of else ""
+        return f"{self.limit.number}{of}{self.limit.relation}"
 
 
 def worst(verdicts: Iterable[Verdict]) -> Verdict | None:
-    """Return the verdict of all: PASS only where all are; ``None`` of none.
-
-    ERROR outranks FAIL: what failed on a bench that failed too has to be measured again.
-
-    >>> worst(["PASS", "FAIL", "MARGINAL"]), worst(["FAIL", "ERROR"]), worst([])
-    ('FAIL', 'ERROR', None)
-    """
+    """Return the verdict of all: PASS only where all are; ``None`` of none."""
+    # ERROR outranks FAIL: what failed on a bench that failed too has to be measured again.
     found = list(verdicts)
     return max(found, key=_FROM_BEST.index) if found else None
 
@@ -153,7 +160,7 @@ def _outcome(
     below = math.inf if limit.at_least is None else measured.value - limit.at_least
     above = math.inf if limit.at_most is None else limit.at_most - measured.value
     margin = min(below, above)
-    name = number_words(limit.number, measured)
+    name = number_words(limit, measured)
     sentence = f"{verdict} {name}: {_value_words(measured)}, {limit_words(limit, measured.unit)}"
     if math.isfinite(margin):
         sentence += f", margin {margin_words(measured, margin)} {measured.unit}".rstrip()
@@ -193,35 +200,62 @@ def interval_words(measured: Value, between: str = " to ") -> str:
     return between.join(measured.digits(end) for end in (measured.low_95, measured.high_95))
 
 
-def number_words(number: str, measured: Value) -> str:
+def number_words(limit: Limit, measured: Value) -> str:
     """Say the name of a number, without the unit at its end: ``"lock-in rate"``, ``"scatter of X"``."""
-    if number in (measured.name, measured.quantity.limit_name):
-        return measured.words
-    return number.removeprefix(RESULT).replace(measured.name, measured.quantity.words).replace("_", " ")
+    words = limit.number.removeprefix(RESULT).replace(measured.name, measured.quantity.words).replace("_", " ")
+    if limit.number in (measured.name, measured.quantity.limit_name):
+        words = measured.words
+    form, (step, _, number) = "less" if limit.less else "over", (limit.less or limit.over).rpartition(": ")
+    if not limit.relation:
+        return words
+    other = "that" if number == limit.number else number.replace("_", " ")
+    return f"{words} {form} {other}" + (f" of {step}" if step else "")
+
+
+Step = tuple[Mapping[str, Any], Quantities]  # the JSON of its result, and its numbers
 
 
 def judged(
-    result: Result, document: Mapping[str, Any], limits: Iterable[Limit], *, doubtful: str = "marginal"
+    result: Result,
+    document: Mapping[str, Any],
+    limits: Iterable[Limit],
+    *,
+    doubtful: str = "marginal",
+    steps: Mapping[str, Step] = MappingProxyType({}),
 ) -> tuple[LimitOutcome, ...]:
     """Judge a result by limits; one that is doubtful passes nothing, one that fails decides nothing."""
-    # `doubtful` is "as_it_is" where a doubtful result is judged like any other.
-    outcomes = []
+    # `doubtful` is "as_it_is" where a doubtful result is judged like any other; `steps` are those before, by name.
+    found: list[LimitOutcome] = []
     for limit in limits:
-        values = values_of(result, document, limit.number)
+        values, standings = values_of(result, document, limit.number), [result.standing]
+        if limit.relation:
+            step, _, number = (limit.less or limit.over).rpartition(": ")
+            other, declared = steps.get(step, ({}, ())) if step else (document, result.quantities)
+            own = budgeted_values(document, result.quantities, limit.number)
+            form: Literal["less", "over"] = "less" if limit.less else "over"
+            values = derived_values(form, own, budgeted_values(other, declared, number))
+            reasons = tuple(f"{step}: {one}" for one in other.get("standing_reasons", ())) if step else ()
+            standings.append(Validity(other.get("standing", "fails") if step else "stands", reasons))
         values = values or [Value(math.nan, quantity=Quantity(limit.number))]
-        outcomes += [decide(limit, value) for value in values]
-    standing = result.standing
+        outcomes = [decide(limit, value) for value in values]
+        for standing in standings:
+            outcomes = _as_far_as_it_holds(outcomes, standing, doubtful)
+        found += outcomes
+    return tuple(found)
+
+
+def _as_far_as_it_holds(outcomes: list[LimitOutcome], standing: Validity, doubtful: str) -> list[LimitOutcome]:
+    """The verdicts where a result that they rest on is doubtful, or fails."""
     if standing.state == "fails":
-        return tuple(_instead(one, ERROR, "the result does not hold", standing.reasons) for one in outcomes)
-    if standing.state == "doubtful" and doubtful == "marginal":
-        why = "the result is doubtful"
-        # what is decided without its uncertainty is not touched by what rules the uncertainty
-        passing = [one.verdict == PASS and one.limit.rule != "none" for one in outcomes]
-        return tuple(
-            _instead(one, MARGINAL, why, standing.reasons) if passed else one
-            for one, passed in zip(outcomes, passing, strict=True)
-        )
-    return tuple(outcomes)
+        return [_instead(one, ERROR, "the result does not hold", standing.reasons) for one in outcomes]
+    if standing.state == "stands" or doubtful != "marginal":
+        return outcomes
+    # what is decided without its uncertainty is not touched by what rules the uncertainty
+    passing = (one.verdict == PASS and one.limit.rule != "none" for one in outcomes)
+    return [
+        _instead(one, MARGINAL, "the result is doubtful", standing.reasons) if passed else one
+        for one, passed in zip(outcomes, passing, strict=True)
+    ]
 
 
 def _instead(outcome: LimitOutcome, verdict: Verdict, why: str, reasons: Sequence[str]) -> LimitOutcome:

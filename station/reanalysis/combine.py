@@ -8,7 +8,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
-from typing import Any, overload
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,9 +19,9 @@ from analysis.lock_in_run import AxisRates, RecordArrays, RunArrays, evaluate
 from instrument import Waveform
 from station.errors import NoUsableSignal, UsageError
 from station.files import given_back
-from station.lock_in.columns import Collected
+from station.lock_in.columns import Collected, read_waveforms
 from station.lock_in.estimate import Gathered, estimate_pieces
-from station.lock_in.evaluate import LockInEvaluation, SavedWaveforms, errors_in_words, gathered_arrays
+from station.lock_in.evaluate import LockInEvaluation, RowsOnDemand, errors_in_words, gathered_arrays
 from station.lock_in.quantities import record_documents
 from station.lock_in.report import sections
 from station.lock_in.result import result
@@ -32,7 +32,6 @@ from station.lock_in.settings import (
     load_settings,
     stated_of_files,
 )
-from station.operator import ask_number
 from station.reanalysis.analyze_table import Work
 from station.results.numbers import AMPLITUDE, BEAT_FREQUENCY, INPUT_RATE, SCALE_FACTOR
 from station.results.result import FactTable, Result, Section, TextTable, plain, with_prefix
@@ -46,6 +45,7 @@ from station.shell.finish import SCHEMA_VERSION, standing_document
 from station.sources.batches import ExcludedRecord, Source, check_over_time
 from station.sources.find import open_source
 from station.sources.workers import ThisProcess, Workers
+from station.terminal import ask_number
 
 ONE_RATE = 0.02  # beat frequencies of records at one rate differ by less than this share
 
@@ -75,14 +75,14 @@ def combine(
         reason = f": {left_out[0]}" if left_out else ""
         raise NoUsableSignal(f"none of {len(work)} sources holds a record of a beat{reason}")
     used, method, estimated = found.used, whole.method, whole.each
-    names, waveforms = _Names(used, whole.places), _Waveforms(used, whole.numbers, work.opened)
+    names, waveforms = _names(used, whole.places), _waveforms(used, whole.numbers, work.opened)
     knowledge = knowledge_of_files(found.wfids, method, config)
     axis = _stated_rates(used, rates)
     if axis is None and method.input_rate is None:
         axis = _asked_rates(used, estimated.beat_frequency)
     unknown = np.broadcast_to(math.nan, (len(whole),))
     slow = replace(
-        gathered_arrays(whole, waveforms),
+        gathered_arrays(whole, waveforms.many),
         table_rate=unknown if axis is None else axis.rates,
         azimuth_start=unknown,
         azimuth_end=unknown,
@@ -263,57 +263,33 @@ def _asked_rates(parts: Sequence[_Used], frequency: NDArray[np.float64]) -> Axis
     return _axis_rates(parts, found)
 
 
-class _Names(Sequence[str]):
+def _names(used: Sequence[_Used], places: NDArray[np.int64]) -> RowsOnDemand[str]:
     """What records of many sources are called: by their file, or by it and their number in it."""
+    ends = np.cumsum([one.count for one in used])
+    begins = np.cumsum([0, *(one.taken for one in used)])
 
-    def __init__(self, used: Sequence[_Used], places: NDArray[np.int64]) -> None:
-        self._used, self._places = used, places
-        self._ends = np.cumsum([one.count for one in used])
-        self._begins = np.cumsum([0, *(one.taken for one in used)])
+    def called(rows: NDArray[np.intp]) -> list[str]:
+        of = np.searchsorted(ends, rows, side="right")
+        numbers = places[rows] - begins[of] + 1
+        named = ((used[source], number) for source, number in zip(of, numbers, strict=True))
+        return [one.name if one.taken == 1 else f"{one.name}, {number}" for one, number in named]
 
-    def __len__(self) -> int:
-        return int(self._ends[-1])
-
-    @overload
-    def __getitem__(self, place: int) -> str: ...
-    @overload
-    def __getitem__(self, place: slice) -> Sequence[str]: ...
-    def __getitem__(self, place: int | slice) -> str | Sequence[str]:
-        if isinstance(place, slice):
-            return [self[one] for one in range(*place.indices(len(self)))]
-        source = int(np.searchsorted(self._ends, place, side="right"))
-        one = self._used[source]
-        return one.name if one.taken == 1 else f"{one.name}, {self._places[place] - self._begins[source] + 1}"
+    return RowsOnDemand(int(ends[-1]), called)
 
 
-class _Waveforms(Sequence[Waveform]):
-    """Records of many sources, read when they are asked for."""
+def _waveforms(
+    used: Sequence[_Used], numbers: NDArray[np.int64], opened: Mapping[str, Source]
+) -> RowsOnDemand[Waveform]:
+    """Records of many sources, each source read in one pass."""
+    ends = np.cumsum([one.count for one in used])
 
-    def __init__(self, used: Sequence[_Used], numbers: NDArray[np.int64], opened: Mapping[str, Source]) -> None:
-        self._used, self._numbers, self._opened = used, numbers, opened
-        self._ends = np.cumsum([one.count for one in used])
+    def read(rows: NDArray[np.intp]) -> list[Waveform]:
+        of = np.searchsorted(ends, rows, side="right")
+        sources = ((used[place].name, rows[of == place]) for place in np.unique(of).tolist())
+        each = ((opened.get(name) or open_source(Path(name)), numbers[some]) for name, some in sources)
+        return [wave for source, some in each for wave in read_waveforms(source, some)]
 
-    def __len__(self) -> int:
-        return int(self._ends[-1])
-
-    @overload
-    def __getitem__(self, place: int) -> Waveform: ...
-    @overload
-    def __getitem__(self, place: slice) -> Sequence[Waveform]: ...
-    def __getitem__(self, place: int | slice) -> Waveform | Sequence[Waveform]:
-        if isinstance(place, slice):
-            return [self[one] for one in range(*place.indices(len(self)))]
-        return self.many(np.array([place]))[0]
-
-    def many(self, rows: NDArray[np.intp]) -> list[Waveform]:
-        """Read some records, whose rows rise, each source in one pass."""
-        found: list[Waveform] = []
-        of = np.searchsorted(self._ends, rows, side="right")
-        for place in np.unique(of).tolist():
-            name = self._used[place].name
-            source = self._opened.get(name) or open_source(Path(name))
-            found += SavedWaveforms(source, self._numbers[rows[of == place]]).many(np.arange(np.sum(of == place)))
-        return found
+    return RowsOnDemand(int(ends[-1]), read)
 
 
 def said_of(left_out: Sequence[ExcludedRecord], most: int = 20) -> list[str]:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from instrument import InstrumentError
 from station.errors import NoUsableSignal, RunError, StationError, UsageError
+from station.measurements import measurement
 from station.reanalysis.analyze_table import KINDS, Work, table_file
 from station.reanalysis.combine import (
     ONE_RATE,
@@ -23,6 +24,7 @@ from station.reanalysis.combine import (
 )
 from station.reanalysis.table_file import rows_of_pieces
 from station.report.figure import ACCENT, INK, SECOND, SOFT, write_picture
+from station.results.derived import BudgetedValue, budgeted_values, derived, shared_inputs
 from station.results.numbers import BEAT_FREQUENCY, LOCK_IN_RATE, LOCK_IN_RATE_NOISE_U
 from station.results.result import TextTable, plain, with_uncertainty
 from station.runs.progress import Progress
@@ -33,41 +35,6 @@ from station.sources.workers import Workers
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-
-# --------------------
-# The first number of what is compared: its lock-in rate with every input counted
-
-
-@dataclass(frozen=True)
-class Headline:
-    """A lock-in rate as `gyrolock analyze` gives it."""
-
-    rate: float  # deg/s; the combined standard uncertainty
-    u: float
-    one_rate: bool  # whether it was measured at one rate: several have no one beat and no one ratio
-
-
-def headline_of(
-    side: ComparedRecords, choices: Mapping[str, Any], workers: Workers, config: Path | None
-) -> Headline | None:
-    """Evaluate a run, or records at one rate, with their budget; ``None`` where they have no one result."""
-    quiet = Progress(quiet=True)
-    choices = {name: value for name, value in choices.items() if name != "front_end"}
-    try:
-        sources = list(find_sources([side.name]))
-        if len(sources) == 1 and is_run(sources[0]):
-            document = evaluate_saved(sources[0], workers, quiet, config=config, choices=choices).result.document
-        else:
-            beats = side.values[BEAT_FREQUENCY.key()]
-            known = beats[np.isfinite(beats)]
-            if not known.size or np.ptp(known) >= ONE_RATE * known.max():
-                return None
-            document = combine(sources, choices, workers, quiet, config=config).result.document
-    except (StationError, InstrumentError):
-        return None
-    rate, u = (float(document.get(name, math.nan)) for name in (LOCK_IN_RATE.key(), LOCK_IN_RATE.key("u")))
-    return Headline(rate, u, "several_rates" not in document) if math.isfinite(rate + u) else None
 
 
 Floats = NDArray[np.float64]
@@ -94,7 +61,8 @@ class ComparedRecords:
     left_out: tuple[ExcludedRecord, ...] = ()
     # by which they were estimated; ``None`` of a table, which knows the noise of records only
     choices: Mapping[str, Any] | None = None
-    headline: Headline | None = None  # what they say together, every input counted
+    headline: BudgetedValue | None = None  # their lock-in rate, every input counted
+    one_rate: bool = True  # several have no one beat and no one ratio
 
 
 @dataclass(frozen=True)
@@ -138,6 +106,7 @@ class Comparison:
     differences: tuple[Difference, ...]
     # of the lock-in rates by noise and scatter alone, where `differences` count every input of both results
     by_noise: Difference | None = None
+    shared: tuple[str, ...] = ()  # inputs that both results share
 
     @property
     def counted(self) -> str:
@@ -193,10 +162,12 @@ class Comparison:
                 "The same records: their noise is common to both, u is the larger of the two that it gives each."
             )
         elif self.by_noise is not None:
-            said.append(
-                "No record is in both: the results are compared, all uncertainties included; what both share "
-                "(a scale factor) counts once."
+            both = (
+                f"what both share cancels ({', '.join(self.shared).replace('_', ' ')})"
+                if self.shared
+                else ("no input of a named unit or oscilloscope is in both")
             )
+            said.append(f"No record is in both: the results are compared, all uncertainties included; {both}.")
         else:
             said.append(
                 "No record is in both: the means are compared, by noise and scatter of their records alone. Scale "
@@ -221,7 +192,7 @@ class Comparison:
 
     @property
     def _at_one_rate(self) -> bool:
-        return all(one.headline is not None and one.headline.one_rate for one in (self.first, self.second))
+        return self.first.one_rate and self.second.one_rate
 
 
 def compare(first: ComparedRecords, second: ComparedRecords) -> Comparison:
@@ -242,19 +213,21 @@ def compare(first: ComparedRecords, second: ComparedRecords) -> Comparison:
     if same or first.headline is None or second.headline is None:
         return Comparison(first, second, same, *only, differences)
     by_noise, *others = differences
+    of_first, of_second = first.headline, second.headline
+    difference = derived("less", of_second, of_first)
     headlines = replace(
         by_noise,
-        mean_first=first.headline.rate,
-        mean_first_u=first.headline.u,
-        mean_second=second.headline.rate,
-        mean_second_u=second.headline.u,
-        difference=second.headline.rate - first.headline.rate,
-        difference_u=math.hypot(first.headline.u, second.headline.u),
+        mean_first=of_first.value.value,
+        mean_first_u=of_first.value.u,
+        mean_second=of_second.value.value,
+        mean_second_u=of_second.value.u,
+        difference=difference.value,
+        difference_u=difference.u,
     )
     # a mean over several rates is nobody's beat and nobody's ratio
-    at_one_rate = first.headline.one_rate and second.headline.one_rate
-    shown = (headlines, *others) if at_one_rate else (headlines,)
-    return Comparison(first, second, same, *only, shown, by_noise)
+    shown = (headlines, *others) if first.one_rate and second.one_rate else (headlines,)
+    shared = tuple(name for name, _, _ in shared_inputs(of_first, of_second))
+    return Comparison(first, second, same, *only, shown, by_noise, shared)
 
 
 def _difference(
@@ -354,11 +327,32 @@ def with_headlines(
     """Evaluate both sides as a whole, where they hold no record in common: then noise is not all that counts."""
     if not set(first.keys).isdisjoint(second.keys):
         return first, second
-    a, b = (
-        one if one.choices is None else replace(one, headline=headline_of(one, one.choices, workers, config))
-        for one in (first, second)
-    )
-    return a, b
+    return _with_headline(first, workers, config), _with_headline(second, workers, config)
+
+
+def _with_headline(side: ComparedRecords, workers: Workers, config: Path | None) -> ComparedRecords:
+    """Evaluate a run, or records at one rate, with their budget; as it is where they have no one result."""
+    if side.choices is None:
+        return side
+    quiet = Progress(quiet=True)
+    choices = {name: value for name, value in side.choices.items() if name != "front_end"}
+    try:
+        sources = list(find_sources([side.name]))
+        if len(sources) == 1 and is_run(sources[0]):
+            document = evaluate_saved(sources[0], workers, quiet, config=config, choices=choices).document()
+        else:
+            beats = side.values[BEAT_FREQUENCY.key()]
+            known = beats[np.isfinite(beats)]
+            if not known.size or np.ptp(known) >= ONE_RATE * known.max():
+                return side
+            document = combine(sources, choices, workers, quiet, config=config).document()
+    except (StationError, InstrumentError):
+        return side
+    declared = measurement(document.get("command", "measure")).quantities
+    found = next(budgeted_values(document, declared, LOCK_IN_RATE.key()), None)
+    if found is None or not math.isfinite(found.value.value + found.value.u):
+        return side
+    return replace(side, headline=found, one_rate="several_rates" not in document)
 
 
 def _is_table(path: Path) -> bool:

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from station.datasets.rows import package
-from station.errors import CannotWrite, RunError
+from station.errors import RunError
 from station.reanalysis.table_file import (
     INTEGERS,
     NAME,
@@ -37,21 +37,14 @@ class Parquet(TableFile):
 
     def __init__(self, path: Path) -> None:
         super().__init__(path)
-        self._draft = path.with_name(f".{path.name}.part")
         self._writer: Any = None
         self._waiting: list[Any] = []
 
-    def known(self) -> dict[Key, str]:
-        """SHA-256 by source and analysis; see `TableFile`."""
-        found: dict[Key, str] = {}
-        if not self.path.exists():
-            return found
+    def _keys(self) -> Iterator[tuple[str, str, str]]:
         names = ["source", "analysis", "source_sha256"]
         for batch in self._batches(names):
             table = pyarrow.Table.from_batches([batch]).group_by(names).aggregate([])
-            for row in table.to_pylist():
-                found[row["source"], row["analysis"]] = row["source_sha256"]
-        return found
+            yield from zip(*(table.column(name).to_pylist() for name in names), strict=True)
 
     def rows(self) -> Iterator[dict[str, Any]]:
         """Read the rows; see `TableFile`."""
@@ -60,12 +53,10 @@ class Parquet(TableFile):
 
     def begin(self) -> None:
         """Open the draft; see `TableFile`."""
-        try:
+        with self._writing():
             self._writer = parquet.ParquetWriter(
                 self._draft, SCHEMA, compression="zstd", compression_level=1, use_dictionary=list(TEXTS)
             )
-        except OSError as error:
-            raise CannotWrite(f"{self.path}: cannot be written ({error})") from None
 
     @staticmethod
     def packed(parts: Sequence[TableRows]) -> bytes:
@@ -93,11 +84,9 @@ class Parquet(TableFile):
                 if len(kept):
                     self._waiting.append(kept.cast(SCHEMA))
                     self._flush()
-        try:
+        with self._writing():
             self._writer.close()
             self._draft.replace(self.path)
-        except OSError as error:
-            raise CannotWrite(f"{self.path}: cannot be written ({error})") from None
 
     def give_up(self) -> None:
         """Take the draft away; see `TableFile`."""
@@ -109,11 +98,9 @@ class Parquet(TableFile):
 
     def _flush(self) -> None:
         if self._waiting:
-            try:
+            with self._writing():
                 table = pyarrow.Table.from_batches(self._waiting, SCHEMA)
                 self._writer.write_table(table, row_group_size=2 * ROW_GROUP)
-            except OSError as error:
-                raise CannotWrite(f"{self.path}: cannot be written ({error})") from None
             self._waiting = []
 
     def _batches(self, names: list[str] | None) -> Iterator[Any]:

@@ -40,10 +40,17 @@ class TableFile(ABC):
 
     def __init__(self, path: Path) -> None:
         self.path = path
+        self._draft = path.with_name(f".{path.name}.part")
 
-    @abstractmethod
     def known(self) -> dict[Key, str]:
         """SHA-256 of each source and analysis that the table holds."""
+        if not self.path.exists():
+            return {}
+        return {(source, analysis): sha256 for source, analysis, sha256 in self._keys()}
+
+    def _keys(self) -> Iterable[tuple[str, str, str]]:
+        """Source, analysis and SHA-256 of the rows."""
+        return ((str(row["source"]), str(row["analysis"]), str(row["source_sha256"])) for row in self.rows())
 
     @abstractmethod
     def rows(self) -> Iterator[dict[str, Any]]:
@@ -69,6 +76,14 @@ class TableFile(ABC):
     @abstractmethod
     def give_up(self) -> None:
         """Leave the table as it was."""
+
+    @contextmanager
+    def _writing(self) -> Iterator[None]:
+        try:
+            yield
+        except (OSError, sqlite3.Error) as error:
+            reason = error.strerror if isinstance(error, OSError) and error.strerror else error
+            raise CannotWrite(f"{self.path}: cannot be written ({reason})") from None
 
     def _checked(self, version: object) -> None:
         if not isinstance(version, int) or isinstance(version, bool) or version < 1:
@@ -269,15 +284,8 @@ class DelimitedTable(TableFile):
 
     def __init__(self, path: Path) -> None:
         super().__init__(path)
-        self._draft = path.with_name(f".{path.name}.part")
         self._joined = path.with_name(f".{path.name}.new")
         self._file: IO[str] | None = None
-
-    def known(self) -> dict[Key, str]:
-        """SHA-256 by source and analysis; see `TableFile`."""
-        if not self.path.exists():
-            return {}
-        return {(str(row["source"]), str(row["analysis"])): str(row["source_sha256"]) for row in self.rows()}
 
     def begin(self) -> None:
         """Open the draft; see `TableFile`."""
@@ -319,13 +327,6 @@ class DelimitedTable(TableFile):
         for path in (self._draft, self._joined):
             with suppress(OSError):
                 path.unlink()
-
-    @contextmanager
-    def _writing(self) -> Iterator[None]:
-        try:
-            yield
-        except OSError as error:
-            raise CannotWrite(f"{self.path}: cannot be written ({error.strerror or error})") from None
 
     def _opened(self) -> IO[str]:
         if self._file is None:
@@ -445,22 +446,18 @@ class Sqlite(TableFile):
         self._db: sqlite3.Connection | None = None
         self._new = False
 
-    def known(self) -> dict[Key, str]:
-        """SHA-256 by source and analysis; see `TableFile`."""
-        if not self.path.exists():
-            return {}
-        asked = "SELECT source, analysis, max(source_sha256) FROM record GROUP BY 1, 2"
-        with closing(self._read()) as db:
-            try:
-                return {(source, analysis): sha256 for source, analysis, sha256 in db.execute(asked)}
-            except sqlite3.Error as error:
-                raise RunError(f"{self.path}: is damaged and cannot be read ({error})") from None
+    def _keys(self) -> Iterator[tuple[str, str, str]]:
+        rows = self._rows("SELECT source, analysis, max(source_sha256) FROM record GROUP BY 1, 2")
+        return ((source, analysis, sha256) for source, analysis, sha256 in map(dict.values, rows))
 
     def rows(self) -> Iterator[dict[str, Any]]:
         """Read the rows; see `TableFile`."""
+        return self._rows("SELECT * FROM record")
+
+    def _rows(self, asked: str) -> Iterator[dict[str, Any]]:
         with closing(self._read()) as db:
             try:
-                found = db.execute("SELECT * FROM record")
+                found = db.execute(asked)
                 names = [column[0] for column in found.description]
                 for row in found:
                     yield dict(zip(names, row, strict=True))
@@ -476,7 +473,7 @@ class Sqlite(TableFile):
         }
         columns = ", ".join(f"{name} {kinds[name]}" for name in ORDER)
         self._new = not self.path.exists()
-        try:
+        with self._writing():
             self._db = db = sqlite3.connect(self.path, isolation_level=None)
             if self._new:
                 db.execute(f"PRAGMA application_id = {APPLICATION_ID}")
@@ -485,8 +482,6 @@ class Sqlite(TableFile):
             db.execute(f"CREATE TABLE IF NOT EXISTS record ({columns})")
             db.execute("CREATE INDEX IF NOT EXISTS record_by_source ON record (source, analysis)")
             db.execute("CREATE TEMP TABLE added AS SELECT * FROM record WHERE 0")
-        except sqlite3.Error as error:
-            raise CannotWrite(f"{self.path}: cannot be written ({error})") from None
 
     @staticmethod
     def packed(parts: Sequence[TableRows]) -> dict[str, Column]:
@@ -498,20 +493,16 @@ class Sqlite(TableFile):
         columns = (packed[name] for name in ORDER)
         plain = [column.tolist() if isinstance(column, np.ndarray) else column for column in columns]
         marks = ", ".join("?" * len(ORDER))
-        try:
+        with self._writing():
             self._opened().executemany(f"INSERT INTO added VALUES ({marks})", zip(*plain, strict=True))
-        except sqlite3.Error as error:
-            raise CannotWrite(f"{self.path}: cannot be written ({error})") from None
 
     def end(self, replaced: set[Key]) -> None:
         """Commit; see `TableFile`."""
         db = self._opened()
-        try:
+        with self._writing():
             db.executemany("DELETE FROM record WHERE source = ? AND analysis = ?", sorted(replaced))
             db.execute("INSERT INTO record SELECT * FROM added")
             db.execute("COMMIT")
-        except sqlite3.Error as error:
-            raise CannotWrite(f"{self.path}: cannot be written ({error})") from None
         db.close()
 
     def give_up(self) -> None:

@@ -227,11 +227,14 @@ def test_runs_are_compared_by_their_results_with_every_input_counted(tree: Path)
     )
     found = compare(*with_headlines(single, channel, ThisProcess()))
     one, document = found.differences[0], found.document()
-    us = [
-        json.loads((GOLDEN / f"{name}.json").read_text())["lock_in_rate_u_dps"] for name in ("single", "channel")
-    ]
+    results = [json.loads((GOLDEN / f"{name}.json").read_text()) for name in ("single", "channel")]
+    us = [result["lock_in_rate_u_dps"] for result in results]
     assert (one.mean_first_u, one.mean_second_u) == pytest.approx(tuple(us), rel=1e-6)
-    assert one.difference_u == pytest.approx(math.hypot(*us), rel=1e-6)
+    # what the one time base contributes to each cancels; no unit is named, so K may be of two
+    (first, second) = ({line["name"]: line for line in result["budget"]["inputs"]} for result in results)
+    both = first["time_base"]["contribution_dps"] * second["time_base"]["contribution_dps"]
+    assert one.difference_u == pytest.approx(math.sqrt(us[0] ** 2 + us[1] ** 2 - 2 * both), rel=1e-6)
+    assert document["sentences"][0].endswith("what both share cancels (time base).")
     assert document["counted"] == "every input"
     # what noise alone says is kept apart
     assert found.by_noise is not None and found.by_noise.difference_u < one.difference_u

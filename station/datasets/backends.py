@@ -10,8 +10,9 @@ import shutil
 import tempfile
 import zipfile
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from datetime import UTC, datetime
 from functools import cached_property
 from pathlib import Path
 from typing import IO, Any
@@ -35,6 +36,7 @@ from station.datasets.rows import (
 )
 from station.errors import RunError, StationError, UsageError
 from station.files import alive, inert
+from station.results.numbers import SCALE_FACTOR
 
 _MARK = f"{SCHEMA['name']} {SCHEMA['version']}"
 _FIRST = "schema"
@@ -44,11 +46,11 @@ _COMMA, _MINUS, _ZERO = b",-0"
 
 
 class CsvWriter:
-    """Writes one file; arguments as for `ParquetWriter`.
+    """Writes one file; arguments as for `ParquetWriter`."""
 
-    What is known of a source stands in the first of its rows only. What is no row of codes of the common length
-    stands in the column ``payload`` (base64); output of a fibre gyro in its own columns, a blank between numbers.
-    """
+    # What is known of a source stands in the first of its rows only. What is no row of codes of the common length
+    # stands in the column ``payload`` (base64); output of a fibre gyro in its own columns, a blank between
+    # numbers.
 
     def __init__(self, file: Any, width: int) -> None:
         self._file, self._width = io.TextIOWrapper(file, encoding="utf-8", newline=""), width
@@ -187,13 +189,8 @@ def _first_cell(line: bytes) -> str:
 
 
 def codes_of(cells: bytes) -> bytes:
-    """Return codes that stand as decimal numbers between commas, one signed byte each.
-
-    They are taken apart all at once: one by one they would take as long as their estimates, ten times over.
-
-    >>> np.frombuffer(codes_of(b"-128,0,7,127"), np.int8).tolist()
-    [-128, 0, 7, 127]
-    """
+    """Return codes that stand as decimal numbers between commas, one signed byte each."""
+    # They are taken apart all at once: one by one they would take as long as their estimates, ten times over.
     text = np.frombuffer(b"," + cells + b",", np.uint8)
     commas = np.flatnonzero(text == _COMMA)
     first, last = commas[:-1] + 1, commas[1:] - 1
@@ -291,7 +288,17 @@ class Hdf5Writer:
 
     def close(self) -> None:
         """Write what is known of the sources, and the end of the file."""
-        self._file.create_dataset("source_json", data=np.array(self._sources, dtype=object), dtype=self._text)
+        group = self._file[_GROUP]
+        sizes = {"record": self._codes.shape[0], "sample": self._width}
+        for name, size in sizes.items():  # netCDF's dimensions, by which xarray opens the group
+            group.create_dataset(name, data=np.arange(size)).make_scale(name)
+        for column in (*self._columns.values(), self._codes, self._payload, *self._outputs.values()):
+            for dimension, name in zip(column.dims, sizes, strict=False):
+                dimension.attach_scale(group[name])
+        about = np.array(self._sources, dtype=object)
+        self._file.create_dataset("source", data=np.arange(about.size)).make_scale("source")
+        sources = self._file.create_dataset("source_json", data=about, dtype=self._text)
+        sources.dims[0].attach_scale(self._file["source"])
         self._file.close()
 
 
@@ -494,15 +501,16 @@ class NumpyTable:
 
 
 # --------------------
-# Parquet: codes as bytes of one length, flat columns, row groups of about 2000 records.
+# Parquet: codes as lists of int8, timestamps, unit, operator and scale factor as columns; row groups of 2000 rows.
 #
-# Source: the format's own rules for fixed_len_byte_array and key-value metadata (parquet.apache.org/docs)
+# Differences of neighbouring codes are small: DELTA_BINARY_PACKED takes half the bytes. Source of it and of the
+# key-value metadata: the format's own rules (parquet.apache.org/docs)
 
 
 _METADATA = b"gyrolock"
 _CODED_ALIKE = ("source", "purpose", "channel", "axis", "header", "source_json")  # texts that most rows share
 
-_READ = ("number", "key", "taken_at", "purpose", "header", "conditions", "sha256", "codes", "payload")
+_READ = ("number", "key", "taken_at", "purpose", "header", "conditions", "sha256", "payload")
 
 
 class ParquetWriter:
@@ -513,48 +521,75 @@ class ParquetWriter:
         self._width, self._pyarrow = width, pyarrow
         kinds = {**dict.fromkeys(WHOLE, pyarrow.int64()), **dict.fromkeys(NUMBERS, pyarrow.float64())}
         fields = [pyarrow.field(name, kinds.get(name, pyarrow.string())) for name in COLUMNS]
-        fields += [pyarrow.field("codes", pyarrow.binary(width)), pyarrow.field("payload", pyarrow.binary())]
+        fields += [pyarrow.field(name, getattr(pyarrow, kind)()) for name, kind in _SAID.items()]
+        fields.append(pyarrow.field("taken", pyarrow.timestamp("ms", "UTC")))
+        fields.append(pyarrow.field("codes", pyarrow.list_(pyarrow.int8())))
+        fields.append(pyarrow.field("payload", pyarrow.binary()))
         fields += [pyarrow.field(name, pyarrow.list_(pyarrow.float64())) for name in OUTPUTS]
         self._schema = pyarrow.schema(fields, {_METADATA: json.dumps({"schema": SCHEMA}).encode()})
         self._writer = parquet.ParquetWriter(
-            file, self._schema, compression="zstd", compression_level=1, use_dictionary=list(_CODED_ALIKE)
+            file,
+            self._schema,
+            compression="zstd",
+            compression_level=1,
+            use_dictionary=list(_CODED_ALIKE),
+            column_encoding={"codes.list.element": "DELTA_BINARY_PACKED"},
         )
 
     def write(self, rows: Rows) -> None:
         """Add rows as one row group."""
         pyarrow = self._pyarrow
         codes, others = rows.codes(self._width)
-        arrays = [
-            pyarrow.array(rows.columns[field.name], field.type, from_pandas=True) for field in self._schema
-            if field.name in COLUMNS
-        ]  # fmt: skip
-        mask = pyarrow.array(~others).buffers()[1]
-        buffers = [mask, pyarrow.py_buffer(codes)]
-        arrays.append(pyarrow.Array.from_buffers(pyarrow.binary(self._width), len(rows), buffers))
+        told = {about: _said_of(about) for about in dict.fromkeys(rows.columns["source_json"])}
+        said = zip(*(told[about] for about in rows.columns["source_json"]), strict=True)
+        columns = {**rows.columns, **dict(zip(_SAID, map(list, said), strict=True))}
+        columns["taken"] = [_time(text) for text in rows.columns["taken_at"]]
+        fields = [field for field in self._schema if field.name in columns]
+        arrays = [pyarrow.array(columns[field.name], field.type, from_pandas=True) for field in fields]
+        seen = [None if other else of for of, other in zip(codes, others, strict=True)]
+        arrays.append(self._lists(seen, np.int8))
         payloads = [payload if other else None for payload, other in zip(rows.payloads, others, strict=True)]
         arrays.append(pyarrow.array(payloads, pyarrow.binary()))
-        arrays += [self._lists(rows, name) for name in OUTPUTS]
+        arrays += [
+            self._lists([None if output is None else output[name] for output in rows.outputs], np.float64)
+            for name in OUTPUTS
+        ]
         self._writer.write_table(pyarrow.Table.from_arrays(arrays, schema=self._schema), row_group_size=AT_ONCE)
 
-    def _lists(self, rows: Rows, name: str) -> Any:
-        """One column of the outputs; null where a row holds no output."""
+    def _lists(self, parts: Sequence[NDArray[Any] | None], kind: type) -> Any:
+        """One column of lists; null where a row has none."""
         pyarrow = self._pyarrow
-        parts = [None if output is None else output[name] for output in rows.outputs]
-        if not any(parts_there := [part is not None for part in parts]):
-            return pyarrow.nulls(len(rows), pyarrow.list_(pyarrow.float64()))
+        of = pyarrow.list_(pyarrow.from_numpy_dtype(kind))
+        if not any(there := [part is not None for part in parts]):
+            return pyarrow.nulls(len(parts), of)
         ends = np.cumsum([0, *(0 if part is None else part.size for part in parts)]).astype(np.int32)
-        values = np.concatenate([np.empty(0), *(part for part in parts if part is not None)])
-        known = pyarrow.array(parts_there).buffers()[1]
-        return pyarrow.Array.from_buffers(
-            pyarrow.list_(pyarrow.float64()),
-            len(rows),
-            [known, pyarrow.py_buffer(ends)],
-            children=[pyarrow.array(values)],
-        )
+        values = np.concatenate([np.empty(0, kind), *(part for part in parts if part is not None)])
+        buffers = [pyarrow.array(there).buffers()[1], pyarrow.py_buffer(ends)]
+        return pyarrow.Array.from_buffers(of, len(parts), buffers, children=[pyarrow.array(values)])
 
     def close(self) -> None:
         """Write the end of the file: without it nobody can read it."""
         self._writer.close()
+
+
+_SAID = {"unit": "string", "operator": "string", SCALE_FACTOR.key(): "float64"}
+
+
+def _said_of(about: str) -> list[Any]:
+    """Unit, operator and scale factor as what is known of a source says them."""
+    facts = json.loads(about)["facts"]
+    settings = facts.get("settings")
+    gyro = settings.get("gyro") if isinstance(settings, dict) else None
+    said = {**(gyro if isinstance(gyro, dict) else {}), **facts}
+    kinds: dict[str, Any] = {"string": str, "float64": int | float}
+    return [one if isinstance(one := said.get(name), kinds[kind]) else None for name, kind in _SAID.items()]
+
+
+def _time(text: str) -> datetime | None:
+    try:
+        return datetime.fromisoformat(text).astimezone(UTC)
+    except (ValueError, OverflowError):
+        return None
 
 
 class ParquetTable:
@@ -599,13 +634,14 @@ class ParquetTable:
                 with self._said():
                     if group not in self._kept:
                         with _opened(self.place) as file:
-                            read = [*_READ, *self._outputs]
+                            read = [*_READ, "codes", *self._outputs]
                             self._kept = {group: file.read_row_group(group, columns=read, use_threads=False)}
                     table = self._kept[group]
-                    columns = [table.column(name).slice(below, above - below).to_pylist() for name in _READ]
-                    outputs = _outputs_of(table.slice(below, above - below), self._outputs)
-                for place, (*cells, codes, payload) in enumerate(zip(*columns, strict=True)):
-                    row = dict(zip(_READ, cells, strict=False))
+                    part = table.slice(below, above - below)
+                    columns = [part.column(name).to_pylist() for name in _READ]
+                    outputs, sent = _outputs_of(part, self._outputs), _codes_in(part.column("codes"))
+                for place, (*cells, payload) in enumerate(zip(*columns, strict=True)):
+                    row, codes = dict(zip(_READ, cells, strict=False)), sent[place]
                     if outputs and outputs[place] is not None:
                         row["outputs"] = outputs[place]
                     yield row, payload or b"" if codes is None else codes
@@ -637,6 +673,17 @@ class ParquetTable:
             raise RunError(
                 f"{self.place}: is damaged or no Parquet file, and cannot be read ({reason}): export it again"
             ) from None
+
+
+def _codes_in(column: Any) -> list[bytes | None]:
+    """Codes of each row as bytes, ``None`` where it holds none: lists, or of earlier versions bytes."""
+    column = column.combine_chunks()
+    if not hasattr(column, "offsets"):
+        found: list[bytes | None] = column.to_pylist()
+        return found
+    values, ends = column.values.to_numpy(zero_copy_only=False), column.offsets.to_pylist()
+    cells = zip(ends, ends[1:], column.is_valid().to_pylist(), strict=False)
+    return [values[begin:end].tobytes() if there else None for begin, end, there in cells]
 
 
 def _outputs_of(table: Any, names: list[str]) -> list[dict[str, Floats] | None]:

@@ -76,9 +76,10 @@ def packed(header: str, outputs: Mapping[str, Floats]) -> tuple[bytes, bytes]:
     return zlib.compress(data, 1), data
 
 
-VERSION = 2
+VERSION = 3
 SCHEMA = {"name": "gyrolock records", "version": VERSION}
-"""Files of the first version, in which outputs of a fibre gyro are packed, are read too."""
+"""Files of the first version, in which outputs of a fibre gyro are packed, are read too, and of the second, whose
+codes in Parquet are bytes."""
 
 AT_ONCE = 2000  # rows that are written and read together: 5 MB of codes
 _BYTES_AT_ONCE = 20_000_000  # of packed output, which rows may hold much of

@@ -59,11 +59,11 @@ def test_bytes_that_changed_make_no_other_record(ending: str, tmp_path: Path) ->
 @pytest.mark.parametrize("ending", ENDINGS)
 def test_a_future_schema(ending: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     file = tmp_path / f"new.{ending}"
-    newer = {"name": "gyrolock records", "version": 3}
+    newer = {"name": "gyrolock records", "version": 4}
     monkeypatch.setattr("station.datasets.backends.SCHEMA", newer)
-    monkeypatch.setattr("station.datasets.backends._MARK", "gyrolock records 3")
+    monkeypatch.setattr("station.datasets.backends._MARK", "gyrolock records 4")
     export([open_source(GOLDEN / "turning.sqlite")], str(file))
-    with pytest.raises(RunError, match=r"written by a newer gyrolock \(records 3\): update this one"):
+    with pytest.raises(RunError, match=r"written by a newer gyrolock \(records 4\): update this one"):
         sources_of(file)
 
 

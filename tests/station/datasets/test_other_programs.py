@@ -2,6 +2,7 @@
 
 import csv
 import json
+from datetime import datetime
 from pathlib import Path
 
 import numpy as np
@@ -19,18 +20,21 @@ def single() -> tuple[SavedRecord, ...]:
     return open_run(GOLDEN / "single.sqlite").records
 
 
+SCALE_FACTOR = "scale_factor_pulses_per_deg"
 COUNT = sum(len(open_run(GOLDEN / f"{name}.sqlite").records) for name in RUNS)
 
 
-def test_parquet_has_codes_of_one_length_flat_columns_and_its_schema(exported: dict[str, str]) -> None:
+def test_parquet_has_lists_of_codes_flat_columns_and_its_schema(exported: dict[str, str]) -> None:
     parquet = pytest.importorskip("pyarrow.parquet", reason="the extra `data` is not installed")
     schema = parquet.read_schema(exported["all.parquet"])
-    assert schema.names == [*COLUMNS, "codes", "payload", *OUTPUTS]
+    said = ["unit", "operator", SCALE_FACTOR, "taken"]
+    assert schema.names == [*COLUMNS, *said, "codes", "payload", *OUTPUTS]
+    assert [str(schema.field(name).type) for name in said[1:]] == ["string", "double", "timestamp[ms, tz=UTC]"]
     assert {str(schema.field(name).type) for name in OUTPUTS} == {"list<element: double>"}
     assert {str(schema.field(name).type) for name in TEXT} == {"string"}
     assert {str(schema.field(name).type) for name in WHOLE} == {"int64"}
     assert {str(schema.field(name).type) for name in NUMBERS} == {"double"}
-    assert str(schema.field("codes").type) == "fixed_size_binary[2500]"
+    assert str(schema.field("codes").type) == "list<element: int8>"
     assert json.loads(schema.metadata[b"gyrolock"]) == {"schema": SCHEMA}
     assert [path.name for path in sorted(Path(exported["parts/"]).iterdir())] == ["part-00000.parquet"]
 
@@ -39,8 +43,8 @@ def test_duckdb_chooses_and_takes_volts(exported: dict[str, str], single: tuple[
     duckdb = pytest.importorskip("duckdb", reason="DuckDB is not installed")
     with duckdb.connect() as db:
         rows = db.execute(
-            "SELECT number, codes, volts_per_level, table_rate_dps FROM read_parquet(?) "
-            "WHERE source LIKE '%single.sqlite' AND purpose = 'measure' ORDER BY number",
+            "SELECT number, codes, volts_per_level, table_rate_dps, scale_factor_pulses_per_deg, taken "
+            "FROM read_parquet(?) WHERE source LIKE '%single.sqlite' AND purpose = 'measure' ORDER BY number",
             [exported["all.parquet"]],
         ).fetchall()
         (counted,) = db.execute(
@@ -52,16 +56,19 @@ def test_duckdb_chooses_and_takes_volts(exported: dict[str, str], single: tuple[
     assert counted == COUNT
     assert 0 < rate < counted  # what nobody knows is null
     slow = [record for record in single if record.purpose == "measure"]
-    assert [(number, codes) for number, codes, _, _ in rows] == [(one.number, one.payload) for one in slow]
-    assert [known for _, _, _, known in rows] == [one.conditions["table_rate_dps"] for one in slow]
-    assert {level for _, _, level, _ in rows} == {float(one.header.split(";")[12]) for one in slow}
+    assert [(row[0], row[1]) for row in rows] == [(one.number, one.codes.tolist()) for one in slow]
+    assert [row[3] for row in rows] == [one.conditions["table_rate_dps"] for one in slow]
+    assert {row[2] for row in rows} == {float(one.header.split(";")[12]) for one in slow}
+    assert {row[4] for row in rows} == {open_run(GOLDEN / "single.sqlite").facts.settings["gyro"][SCALE_FACTOR]}
+    assert [row[5] for row in rows] == [datetime.fromisoformat(one.taken_at) for one in slow]
 
 
 def test_polars_makes_an_array_of_the_codes(exported: dict[str, str], single: tuple[SavedRecord, ...]) -> None:
     polars = pytest.importorskip("polars", reason="polars is not installed")
     frame = polars.scan_parquet(exported["all.parquet"])
     found = frame.filter(polars.col("source").str.ends_with("single.sqlite")).select("codes", "samples").collect()
-    codes = np.frombuffer(b"".join(found["codes"].to_list()), np.int8).reshape(len(found), found["samples"][0])
+    codes = found["codes"].list.to_array(found["samples"][0]).to_numpy()
+    assert codes.dtype == np.int8
     assert np.array_equal(codes, [record.codes for record in single])
     assert len(frame.collect()) == COUNT
 
@@ -80,6 +87,16 @@ def test_hdf5_numpy_and_csv_without_us(exported: dict[str, str], single: tuple[S
     with h5py.File(exported["all.h5"]) as file:
         assert np.array_equal(file["records/codes"][: len(single)], expected)
         assert json.loads(file.attrs["gyrolock"]) == {"schema": SCHEMA}
+
+
+def test_xarray_opens_the_hdf5_as_netcdf(exported: dict[str, str], single: tuple[SavedRecord, ...]) -> None:
+    xarray = pytest.importorskip("xarray", reason="the extra `data` is not installed")
+    pytest.importorskip("h5netcdf", reason="h5netcdf is not installed")
+    with xarray.open_dataset(exported["all.h5"], group="records") as found:  # a warning would fail
+        assert dict(found.sizes) == {"record": COUNT, "sample": 2500}
+        assert found["codes"].dims == ("record", "sample")
+        assert np.array_equal(found["codes"][: len(single)], [record.codes for record in single])
+        assert found["key"][1].item() == single[1].key
 
 
 def test_output_of_a_fibre_gyro_is_columns_for_others(exported: dict[str, str]) -> None:

@@ -20,7 +20,12 @@ can limit any other number too, as `result.` and its place."""
 
 def page() -> str:
     """The whole page; the same declarations always give the same text."""
-    return "\n\n".join([HEAD, *(part for name in MEASUREMENTS for part in _parts(name))]) + "\n"
+    return (
+        "\n\n".join(
+            [HEAD, *(part for name in MEASUREMENTS if measurement(name).quantities for part in _parts(name))]
+        )
+        + "\n"
+    )
 
 
 def _parts(name: str) -> Iterator[str]:

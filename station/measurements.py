@@ -55,6 +55,8 @@ class Measurement(Generic[S, F]):
     # gets what was found: one JSON object for each record, or none
     rows: Callable[[F], Iterable[dict[str, Any]]] = field(default=lambda found: ())
     quantities: Quantities = ()  # its numbers
+    # gets names and units, [numbers] of settings or of a saved result: its numbers where these declare them
+    declared: Callable[[Mapping[str, str]], Quantities] | None = None
     # gets a run and its settings: keys of records that are to be taken again when it is gone on with, and why
     unusable: Callable[[SavedRun, S], Mapping[str, str]] = field(default=lambda run, settings: {})
     # gets settings: whether the bench that they describe is simulated
@@ -70,6 +72,10 @@ class Measurement(Generic[S, F]):
     def gives(self) -> tuple[str, ...]:
         """Names of the numbers that limits can be set on."""
         return limit_names(self.quantities)
+
+    def quantities_in(self, document: Mapping[str, Any]) -> Quantities:
+        """Numbers of a saved result, or of settings as plain JSON."""
+        return self.quantities if self.declared is None else self.declared(document.get("numbers") or {})
 
 
 # tests of a fibre gyro: `gyrolock fog NAME`, a module of station.fibre_gyro, and what its help says first
@@ -89,6 +95,7 @@ MEASUREMENTS = {
     "measure": "station.lock_in.measurement",
     "deadband": "station.dead_band.measurement",
     **{name: f"station.fibre_gyro.{name}" for name in FIBRE_GYRO_TESTS},
+    "program": "station.program",
 }
 
 
@@ -96,6 +103,16 @@ def measurement(name: str) -> Measurement[Any, Any]:
     """Return a measurement by the name that its runs are marked with; KeyError if there is none."""
     found: Measurement[Any, Any] = importlib.import_module(MEASUREMENTS[name]).MEASUREMENT
     return found
+
+
+def steps_by_name(
+    steps: Iterable[tuple[str, str, Mapping[str, Any]]],
+) -> dict[str, tuple[Mapping[str, Any], Quantities]]:
+    """Return results and numbers of the steps of a campaign by name; each is given by key, measurement, result."""
+    return {
+        key.partition(" ")[2]: (document, measurement(name).quantities_in(document))
+        for key, name, document in steps
+    }
 
 
 def limits_of(*names: str) -> tuple[str, ...]:

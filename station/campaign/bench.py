@@ -86,10 +86,8 @@ _PLACES = (("scope", "resource"), ("link", "port"), ("witness", "resource"))
 
 @contextmanager
 def bench_in_use(plan: CampaignPlan) -> Iterator[None]:
-    """Keep other programs of this computer from every instrument that a campaign names.
-
-    A simulated bench is a program's own and names none.
-    """
+    """Keep other programs of this computer from every instrument that a campaign names."""
+    # A simulated bench is a program's own and names none.
     doing = f"campaign {plan.name}, unit {plan.unit}"
     with ExitStack() as claims:
         for name in dict.fromkeys(name for step in plan.steps for name in _named(step.settings) if name):

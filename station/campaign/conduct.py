@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import logging
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from datetime import datetime
@@ -36,7 +36,7 @@ from station.errors import (
     describe_failure,
     one_line,
 )
-from station.measurements import Measurement, measurement
+from station.measurements import Measurement, measurement, steps_by_name
 from station.results.verdict import ABORTED, ERROR, FAIL, judged, worst
 from station.runs.acquisition import Taken
 from station.runs.database import utc_now
@@ -138,7 +138,7 @@ class _Conducting:
         with self._surroundings() as surroundings:
             for place, step in enumerate(self.plan.steps):
                 warm = max(warm, step.warm_up_s)
-                if step.key in self.done:
+                if step.key in self.done or not step.is_due(self.done.values()):
                     continue
                 wait = Wait(self.progress, skipped=self.plan.simulated)
                 # a unit that goes on after a power failure is cold
@@ -184,6 +184,7 @@ class _Conducting:
                 warm_up_s=warm_up_s,
                 started_at=begun,
                 evaluated=self.evaluated,
+                before=self.done.values(),
             )
         except KeyboardInterrupt as error:
             stopped = StepOutcome(
@@ -246,6 +247,7 @@ def carry_out(
     warm_up_s: float,
     started_at: str,
     evaluated: dict[str, Evaluated],
+    before: Iterable[StepOutcome],
 ) -> StepOutcome:
     """Carry out one step of a test."""
     begun = StepOutcome(step, None, started_at=started_at)
@@ -262,7 +264,7 @@ def carry_out(
         begun = replace(begun, attempts=attempt.count, remarks=tuple(attempt.remarks), run=attempt.run_so_far())
         return _failed(begun, _described(error, step))
     begun = replace(begun, attempts=attempt.count, conditions=conditions, remarks=tuple(attempt.remarks))
-    return _evaluated(begun, taken, plan, evaluated)
+    return _evaluated(begun, taken, plan, evaluated, before)
 
 
 def _folder(key: str) -> str:
@@ -330,7 +332,13 @@ class _Attempts:
 _BENCH = InstrumentError, NoUsableSignal  # what a bench does that may be over in a moment
 
 
-def _evaluated(begun: StepOutcome, taken: Taken, plan: CampaignPlan, known: dict[str, Evaluated]) -> StepOutcome:
+def _evaluated(
+    begun: StepOutcome,
+    taken: Taken,
+    plan: CampaignPlan,
+    known: dict[str, Evaluated],
+    before: Iterable[StepOutcome],
+) -> StepOutcome:
     """Evaluate a run, keep its result beside it, and judge it."""
     path, failure = taken.path, taken.failure
     begun = replace(begun, run=path)
@@ -355,7 +363,8 @@ def _evaluated(begun: StepOutcome, taken: Taken, plan: CampaignPlan, known: dict
         failure = Failure(NoUsableSignal.kind, result.problem, EXIT_NO_SIGNAL)
     if failure is not None:
         return _failed(begun, failure)
-    limits = judged(result, document, begun.step.limits, doubtful=begun.step.doubtful)
+    steps = steps_by_name((one.step.key, one.step.measurement, one.document) for one in before)
+    limits = judged(result, document, begun.step.limits, doubtful=begun.step.doubtful, steps=steps)
     return replace(begun, limits=limits, verdict=worst(one.verdict for one in limits), ended_at=utc_now())
 
 

@@ -21,6 +21,7 @@ from station.campaign.bench import CONTROLLER_OF, controllers_of
 from station.campaign.journal import CampaignPlan, InstrumentCard, PlannedStep, ReferenceUnit
 from station.errors import SettingsError
 from station.measurements import MEASUREMENTS, Measurement, measurement
+from station.results.quantity import limit_names
 from station.results.verdict import RESULT, Limit
 from station.settings import (
     Finite,
@@ -134,6 +135,10 @@ def _check_shared(
     for number, name in enumerate(names):
         if name in names[:number]:
             reading.tell(("step", str(number), "name"), f"{name!r} is the name of another step already")
+        asked = campaign.step[number].only_if
+        if asked is not None and asked.step not in names[:number]:
+            before = f"there are {', '.join(names[:number])}" if number else "it is the first"
+            reading.tell(("step", str(number), "only_if", "step"), f"no step before is {asked.step!r}: {before}")
 
 
 def _unknown(
@@ -170,11 +175,17 @@ def _known(values: Mapping[str, Any], model: type[BaseModel]) -> dict[str, Any]:
 def _steps(
     reading: _FileReading, campaign: CampaignFile, kinds: Mapping[str, Measurement[Any, Any]], unit: str
 ) -> Iterator[PlannedStep]:
+    before: dict[str, tuple[str, ...]] = {}
     for place, step in enumerate(campaign.step):
         kind = kinds[step.measurement]
         shared = merged(campaign.bench, campaign.unit.get(unit, {}))
         settings = _settings(reading, place, step, kind, shared, unit)
-        limits = tuple(_limits(reading, place, step, kind, campaign))
+        gives = limit_names(kind.quantities_in({} if settings is None else settings.model_dump()))
+        limits = tuple(_limits(reading, place, step, gives, campaign, before))
+        repeats = [
+            f", {repeat} of {step.repeat}" if step.repeat > 1 else "" for repeat in range(1, step.repeat + 1)
+        ]
+        before |= {f"{step.name}{repeat}": gives for repeat in repeats}
         if settings is None:
             continue
         controllers = controllers_of(settings.model_dump())
@@ -183,11 +194,11 @@ def _steps(
             if controller not in controllers.there:
                 text = f"there is no [bench.controllers.{controller}] to bring it about"
                 reading.tell(("step", str(place), "conditions", name), text)
-        for repeat in range(1, step.repeat + 1):
+        for repeat, told in enumerate(repeats, start=1):
             values = settings.model_dump(mode="json")
             _seed(values, unit, place, repeat)
             yield PlannedStep(
-                key=f"{place + 1:02d} {step.name}" + (f", {repeat} of {step.repeat}" if step.repeat > 1 else ""),
+                key=f"{place + 1:02d} {step.name}{told}",
                 name=step.name,
                 number=place + 1,
                 measurement=step.measurement,
@@ -199,6 +210,7 @@ def _steps(
                 settle_s=step.settle_s if repeat == 1 else 0.0,
                 limits=limits,
                 doubtful=campaign.campaign.doubtful,
+                only_if=None if step.only_if is None else step.only_if.model_dump(mode="json"),
             )
 
 
@@ -255,25 +267,41 @@ def _is_written(values: Any, place: Sequence[str]) -> bool:
 
 
 def _limits(
-    reading: _FileReading, place: int, step: StepSection, kind: Measurement[Any, Any], campaign: CampaignFile
+    reading: _FileReading,
+    place: int,
+    step: StepSection,
+    gives: tuple[str, ...],
+    campaign: CampaignFile,
+    before: Mapping[str, tuple[str, ...]],
 ) -> Iterator[Limit]:
     for number, one in enumerate(step.limit):
-        where = ("step", str(place), "limit", str(number), "number")
-        if not one.number.startswith(RESULT) and one.number not in kind.gives:
-            like = difflib.get_close_matches(one.number, kind.gives, 1)
-            hint = f"did you mean {like[0]}?" if like else f"it gives {', '.join(kind.gives)}"
-            text = f"{one.number!r} is no number that `{kind.command}` gives: {hint}"
+        above = ("step", str(place), "limit", str(number))
+        where = (*above, "number")
+        if not (one.number.startswith(RESULT) and not (one.less or one.over)) and one.number not in gives:
+            text = _no_such_number(one.number, step.name, gives)
             reading.tell(where, f"{text} (any other number of its JSON: {RESULT}NAME)")
-        limit = _limit(one, campaign)
+        of: dict[str, str] = {}
+        for name in ("less", "over"):
+            if text := getattr(one, name):
+                named, _, other = text.rpartition(": ") if text not in before else (text, "", one.number)
+                of[name] = f"{named}: {other}" if named else other
+                if named and named not in before:
+                    known = f"there are {', '.join(before)}" if before else "this is the first"
+                    reading.tell((*above, name), f"no step before is {named!r}: {known}")
+                elif other not in (its := before.get(named, gives)):
+                    reading.tell((*above, name), _no_such_number(other, named or step.name, its))
+        rule = one.guard_band or campaign.campaign.guard_band
+        limit = Limit(one.number, one.at_least, one.at_most, rule, one.highest_risk_percent / 100, **of)
         if limit.rule != "none" and _END_OF_INTERVAL.search(limit.number):
             text = f'is an uncertainty or an end of an interval itself: use guard_band = "none", not {limit.rule}'
             reading.tell(where, text)
         yield limit
 
 
-def _limit(one: LimitSection, campaign: CampaignFile) -> Limit:
-    rule = one.guard_band or campaign.campaign.guard_band
-    return Limit(one.number, one.at_least, one.at_most, rule, one.highest_risk_percent / 100)
+def _no_such_number(number: str, step: str, gives: tuple[str, ...]) -> str:
+    like = difflib.get_close_matches(number, gives, 1)
+    hint = f"did you mean {like[0]}?" if like else f"it gives {', '.join(gives)}"
+    return f"{number!r} is no number that the step {step!r} gives: {hint}"
 
 
 def _seed(values: dict[str, Any], unit: str, place: int, repeat: int) -> None:
@@ -360,6 +388,9 @@ class LimitSection(SettingsSection):
     at_most: Finite | None = None
     guard_band: GuardBand | None = None
     highest_risk_percent: Annotated[float, Field(gt=0, le=50)] = 50.0
+    # another number: of this step, ``"NUMBER"``, of a step before, ``"STEP: NUMBER"``, or the same one, ``"STEP"``
+    less: Text | None = None
+    over: Text | None = None
 
     @model_validator(mode="after")
     def _has_an_end(self) -> Self:
@@ -367,7 +398,17 @@ class LimitSection(SettingsSection):
             raise ValueError("a limit needs at_least, at_most or both")
         if self.at_least is not None and self.at_most is not None and self.at_least >= self.at_most:
             raise ValueError("at_least must lie below at_most")
+        if self.less and self.over:
+            raise ValueError("a limit is on a difference (less) or on a ratio (over), not on both")
         return self
+
+
+class OnlyIfSection(SettingsSection):
+    """How a step before must have ended for this one to be taken."""
+
+    step: Text
+    verdict: Annotated[tuple[Literal["PASS", "MARGINAL", "FAIL", "ERROR"], ...], Field(min_length=1)]
+    instead: bool = False  # whether this one's verdict then counts in the place of that one's
 
 
 class ConditionsSection(SettingsSection):
@@ -386,6 +427,7 @@ class StepSection(SettingsSection):
     warm_up_s: NotNegative = 0.0
     settle_s: NotNegative = 0.0
     conditions: ConditionsSection = ConditionsSection()
+    only_if: OnlyIfSection | None = None
     settings: Sections = Field(default={})
     limit: tuple[LimitSection, ...] = ()
 

@@ -13,12 +13,14 @@ import os
 import re
 import time
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, field
 from datetime import date
 from pathlib import Path
 from typing import Any, Self
+
+from pydantic import TypeAdapter
 
 from instrument.claims import lock
 from station.errors import (
@@ -72,6 +74,15 @@ class PlannedStep:
     settle_s: float
     limits: tuple[Limit, ...]
     doubtful: str = "marginal"  # {"marginal", "as_it_is"}: Verdict of a limit on a result that does not stand
+    # step before, verdicts of which it must have one, and whether the verdict of this one then counts instead
+    only_if: Mapping[str, Any] | None = None
+
+    def is_due(self, done: Iterable[StepOutcome]) -> bool:
+        """Whether it is to be taken, by how the step before that it asks for has ended."""
+        if self.only_if is None:
+            return True
+        ended = worst(one.verdict for one in done if one.verdict and one.step.name == self.only_if["step"])
+        return ended in self.only_if["verdict"]
 
 
 @dataclass(frozen=True)
@@ -112,6 +123,8 @@ class CampaignPlan:
         """Whether the unit is the reference unit of the bench."""
         return self.reference is not None and self.reference.unit == self.unit
 
+
+_PLAN = TypeAdapter(CampaignPlan)
 
 # --------------------
 # How the test of a unit has ended: each step, and all of them
@@ -164,7 +177,14 @@ class CampaignOutcome:
         if self.failure is not None:
             ended_from_outside = self.failure.exit_code >= EXIT_INTERRUPTED - 1  # by a signal, or Ctrl-C
             return ABORTED if ended_from_outside else ERROR
-        return worst(one.verdict for one in self.steps if one.verdict is not None)
+        return worst(one.verdict for one in self._counted if one.verdict is not None)
+
+    @property
+    def _counted(self) -> list[StepOutcome]:
+        """Steps whose verdicts count: not those that a later one stands for."""
+        asked = [one.step.only_if for one in self.steps if one.step.only_if]
+        replaced = {one["step"] for one in asked if one["instead"]}
+        return [one for one in self.steps if one.step.name not in replaced]
 
     @property
     def exit_code(self) -> int:
@@ -173,7 +193,7 @@ class CampaignOutcome:
         if self.failure is not None:
             return self.failure.exit_code
         if verdict in (ERROR, ABORTED):
-            failed = next((one.failure for one in self.steps if one.failure is not None), None)
+            failed = next((one.failure for one in self._counted if one.failure is not None), None)
             return EXIT_NO_SIGNAL if failed is None else failed.exit_code
         return EXIT_FAIL if verdict == FAIL else EXIT_MARGINAL if verdict == MARGINAL else EXIT_OK
 
@@ -183,7 +203,9 @@ class CampaignOutcome:
         if self.failure is not None:
             return self.failure.message
         said = (
-            f"{one.step.name}: {one.message}" for one in self.steps if one.verdict == self.verdict and one.message
+            f"{one.step.name}: {one.message}"
+            for one in self._counted
+            if one.verdict == self.verdict and one.message
         )
         return next(said, "")
 
@@ -205,7 +227,7 @@ class Journal:
         """Make the folder of a new test; RunError if nothing can be written there."""
         journal = cls(new_run_directory(folder_of(plan.directory, plan.unit)))
         journal.open()
-        facts = {"plan": plan_as_json(plan), "operator": operator, "note": note}
+        facts = {"plan": _PLAN.dump_python(plan, mode="json"), "operator": operator, "note": note}
         journal.write("begun", schema=SCHEMA, **facts)
         with suppress(OSError):  # a copy for the reader; the plan stands in the journal
             (journal.directory / "campaign.toml").write_bytes(plan.file.read_bytes())
@@ -292,7 +314,9 @@ class Written:
         if self.plan.stop_after_failure and failed:
             return ()
         return tuple(
-            step for step in self.plan.steps if (one := self.steps.get(step.key)) is None or to_repeat(one)
+            step
+            for step in self.plan.steps
+            if step.is_due(self.steps.values()) and ((one := self.steps.get(step.key)) is None or to_repeat(one))
         )
 
     def outcome(self) -> CampaignOutcome:
@@ -328,7 +352,7 @@ def read_journal(directory: Path) -> Written:
         raise RunError(f"{directory}: holds no test of a unit ({error.strerror})") from None
     try:
         first = next(line for line in lines if line["kind"] == "begun")
-        plan = plan_from_json(first["plan"])
+        plan = _PLAN.validate_python(first["plan"])
         by_key = {step.key: step for step in plan.steps}
         ended = [line for line in lines if line["kind"] == "step_ended" and line["key"] in by_key]
         steps = {line["key"]: _step_from_json(line, by_key[line["key"]], directory) for line in ended}
@@ -363,32 +387,6 @@ def _lines(text: str) -> Iterator[dict[str, Any]]:
             continue
         if isinstance(found, dict) and isinstance(found.get("kind"), str) and isinstance(found.get("at"), str):
             yield found
-
-
-def plan_as_json(plan: CampaignPlan) -> dict[str, Any]:
-    """Return a plan as plain JSON; :func:`plan_from_json` reads it."""
-    values = asdict(plan)
-    for card in values["instruments"]:
-        for name in ("calibrated_on", "calibration_due"):
-            card[name] = None if card[name] is None else card[name].isoformat()
-    return dict(plain(values))
-
-
-def plan_from_json(values: Mapping[str, Any]) -> CampaignPlan:
-    """Return a plan from its JSON."""
-    steps = tuple(
-        PlannedStep(**{**one, "limits": tuple(Limit(**limit) for limit in one["limits"])})
-        for one in values["steps"]
-    )
-    cards = tuple(InstrumentCard(**{**one, **_dates(one)}) for one in values["instruments"])
-    reference = None if values["reference"] is None else ReferenceUnit(**values["reference"])
-    paths = {name: Path(values[name]) for name in ("file", "directory")}
-    return CampaignPlan(**{**values, **paths, "steps": steps, "instruments": cards, "reference": reference})
-
-
-def _dates(card: Mapping[str, Any]) -> dict[str, date | None]:
-    names = ("calibrated_on", "calibration_due")
-    return {name: None if card[name] is None else date.fromisoformat(card[name]) for name in names}
 
 
 def step_as_json(outcome: StepOutcome, directory: Path) -> dict[str, Any]:
@@ -432,7 +430,11 @@ def _document(run: Path | None) -> dict[str, Any]:
 
 def _limit_from_json(one: Mapping[str, Any]) -> LimitOutcome:
     margin = math.nan if one["margin"] is None else one["margin"]
-    known = {"limit": Limit(**one["limit"]), "measured": Value.from_json(one["measured"]), "margin": margin}
+    known = {
+        "limit": Limit(**one["limit"]),
+        "measured": Value.from_json({"name": one["limit"]["number"], **one["measured"]}),
+        "margin": margin,
+    }
     return LimitOutcome(**{**one, **known})
 
 

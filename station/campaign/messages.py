@@ -5,7 +5,7 @@ from typing import Any
 
 from rich.text import Text
 
-from station.campaign.journal import CampaignOutcome, CampaignPlan, StepOutcome
+from station.campaign.journal import CampaignOutcome, CampaignPlan, StepOutcome, to_repeat
 from station.live.console import stdout_console
 from station.measurements import measurement
 from station.report.show import text_table
@@ -56,11 +56,13 @@ def large(word: str) -> list[str]:
     return ["  ".join(_LETTERS[letter][row] for letter in word) for row in range(5)]
 
 
+LIMIT_COLUMNS = ("verdict", "step", "number", "value", "95 % interval", "limit", "margin", "risk")
+
+
 def limits_table(steps: Sequence[StepOutcome]) -> TextTable:
     """Return every number against its limit."""
-    header = ("verdict", "step", "number", "value", "95 % interval", "limit", "margin", "risk")
     rows = [_limit_row(step, one) for step in steps for one in step.limits]
-    return TextTable(header, tuple(rows))
+    return TextTable(LIMIT_COLUMNS, tuple(rows))
 
 
 def _limit_row(step: StepOutcome, one: LimitOutcome) -> tuple[str, ...]:
@@ -69,7 +71,7 @@ def _limit_row(step: StepOutcome, one: LimitOutcome) -> tuple[str, ...]:
     return (
         one.verdict,
         step.step.key,
-        number_words(one.limit.number, measured),
+        number_words(one.limit, measured),
         f"{measured.digits(measured.value)} {unit}".rstrip() if measured.value == measured.value else "none",
         interval,
         limit_words(one.limit, unit),
@@ -79,11 +81,7 @@ def _limit_row(step: StepOutcome, one: LimitOutcome) -> tuple[str, ...]:
 
 
 def risk_words(risk: float) -> str:
-    """Say a risk in percent: of a wrong decision.
-
-    >>> risk_words(0.12), risk_words(3e-9)
-    ('12 %', '< 0.01 %')
-    """
+    """Say a risk in percent: of a wrong decision."""
     return f"{100 * risk:.2g} %" if risk >= 1e-4 else "< 0.01 %"
 
 
@@ -94,10 +92,13 @@ def sentences(outcome: CampaignOutcome) -> list[str]:
         if step.failure is not None and step.failure != outcome.failure:
             said.append(f"{step.step.key}: {step.failure.message}")
         said += [f"{step.step.key}: {remark}" for remark in step.remarks]
-    undone = len(outcome.plan.steps) - len(outcome.steps)
-    if undone:
-        said.append(f"{undone} of {len(outcome.plan.steps)} steps were not begun")
-    if outcome.verdict in ("ERROR", "ABORTED"):
+    begun = {one.step.key for one in outcome.steps}
+    undone = [step.is_due(outcome.steps) for step in outcome.plan.steps if step.key not in begun]
+    if any(undone):
+        said.append(f"{sum(undone)} of {len(outcome.plan.steps)} steps were not begun")
+    if not all(undone):
+        said.append(f"{undone.count(False)} steps were not due, by how those before them ended")
+    if outcome.verdict == "ABORTED" or any(map(to_repeat, outcome.steps)):
         said.append(f"go on with --resume {outcome.directory}: what is there is not taken again")
     return said
 
@@ -221,7 +222,7 @@ def dry_run_document(
             "seconds": time,
             LOCK_IN_RATE.key("u"): u,
             "lock_in_rate_expanded_u_95_dps": u95,
-            "limits": [f"{one.number} {limit_words(one, '')}".strip() for one in step.limits],
+            "limits": [f"{one.number}{one.relation} {limit_words(one, '')}".strip() for one in step.limits],
         }
         for step, time, (u, u95, _) in zip(plan.steps, seconds, uncertainties, strict=True)
     ]
@@ -267,8 +268,8 @@ def print_dry_run(
     console.print()
     for step, (_, u95, _) in zip(plan.steps, uncertainties, strict=True):
         for one in step.limits:
-            said = f"{step.key}: {one.number} {limit_words(one, '')}, guard band {one.rule}"
-            if u95 is not None and one.number == LOCK_IN_RATE.key() and one.rule == "U95":
+            said = f"{step.key}: {one.number}{one.relation} {limit_words(one, '')}, guard band {one.rule}"
+            if u95 is not None and (one.number, one.relation, one.rule) == (LOCK_IN_RATE.key(), "", "U95"):
                 said += f"; MARGINAL within about {u95:.2g} of it"
             console.print(f"• {said}", soft_wrap=True)
     total = total_seconds(plan, seconds)
@@ -279,11 +280,7 @@ def print_dry_run(
 
 
 def time_words(seconds: float) -> str:
-    """Say a time.
-
-    >>> time_words(42.0), time_words(600.0), time_words(8000.0)
-    ('42 s', '10 min', '2 h 13 min')
-    """
+    """Say a time."""
     if seconds < 120:
         return f"{seconds:.0f} s"
     if seconds < 7200:

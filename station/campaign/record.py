@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from station.campaign.journal import CampaignOutcome, InstrumentCard, StepOutcome
+from station.campaign.messages import LIMIT_COLUMNS, limits_table
 from station.errors import CannotWrite, StationError, one_line
 from station.files import inert, provenance, version
 from station.report.figure import renamed
@@ -164,6 +165,7 @@ def _step(outcome: StepOutcome, directory: Path, evaluated: Evaluated | None) ->
         "elapsed_s": outcome.elapsed_s,
         "attempts": outcome.attempts,
         "doubtful": step.doubtful,
+        **({} if step.only_if is None else {"only_if": step.only_if}),
         "conditions": {"planned": step.conditions, "found": outcome.conditions},
         "limits": [limit_document(one) for one in outcome.limits],
         "result": result or None,
@@ -183,6 +185,7 @@ def limit_document(one: LimitOutcome) -> dict[str, Any]:
             {
                 "name": one.name,
                 "number": limit.number,
+                **{name: of for name in ("less", "over") if (of := getattr(limit, name))},
                 "of": measured.of or None,
                 "value": measured.value,
                 "low_95": measured.low_95,
@@ -387,9 +390,11 @@ def limits_csv(record: Mapping[str, Any]) -> str:
         run = {"run": (step["run"] or {}).get("path")}
         for limit in step["limits"]:
             told = {name: limit[name] for name in (*_LIMITS, "verdict")}
+            if "less" in limit or "over" in limit:
+                told["number"] = limit["name"]
             rows.append({**about, **told, "message": limit["sentence"], **run})
         if not step["limits"]:
-            rows.append({**about, **{name: step.get(name) for name in (*_LIMITS, "verdict", "message")}, **run})
+            rows.append({**about, "verdict": step["verdict"], "message": step["message"], **run})
     names = [*head, "step", "measurement", *_LIMITS, "verdict", "message", "run"]
     return as_csv(names, rows)
 
@@ -462,7 +467,10 @@ def render_record(record: Mapping[str, Any], outcome: CampaignOutcome, evaluated
         unit=f"{unit['serial']}, {unit['type']}" if unit["type"] else unit["serial"],
         lines=_lines(record),
         labels=_labels(record),
-        limits=[_limit_row(step, limit) for step in record["steps"] for limit in step["limits"]],
+        limits=[
+            {"state": _state(row[0]), **dict(zip(LIMIT_COLUMNS, row, strict=True))}
+            for row in limits_table(outcome.steps).rows
+        ],
         notes=_notes(record),
         steps=[
             *(_step_row(step, evaluated.get(step["key"])) for step in record["steps"]),
@@ -500,25 +508,6 @@ def _labels(record: Mapping[str, Any]) -> Rows:
     if record["unit"]["is_reference"]:
         rows.append(("unit", "reference unit of the bench"))
     return [(name, str(value)) for name, value in rows if value]
-
-
-def _limit_row(step: Mapping[str, Any], limit: Mapping[str, Any]) -> dict[str, str]:
-    unit = limit["unit"] or ""
-    ends = [("≥", limit["at_least"]), ("≤", limit["at_most"])]
-    interval = "not known"
-    if limit["low_95"] is not None and limit["high_95"] is not None:
-        interval = f"{limit['low_95']:.6g} to {limit['high_95']:.6g}"
-    words = limit["name"].rpartition("_")[0] if unit else limit["name"]
-    margin = "" if limit["margin"] is None else f"{limit['margin']:+.3g} {unit}".rstrip()
-    return {
-        "name": f"{step['key']}: {words.replace('_', ' ')}",
-        "value": "none" if limit["value"] is None else f"{limit['value']:.6g} {unit}".rstrip(),
-        "interval": interval,
-        "limit": " and ".join(f"{sign} {end:g} {unit}".rstrip() for sign, end in ends if end is not None),
-        "margin": margin,
-        "verdict": limit["verdict"],
-        "state": _state(limit["verdict"]),
-    }
 
 
 _RULES = {

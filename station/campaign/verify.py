@@ -2,8 +2,8 @@
 
 import json
 import math
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +18,7 @@ from station.campaign.record import (
     records_sha256,
 )
 from station.errors import StationError, UsageError, one_line
+from station.measurements import steps_by_name
 from station.results.verdict import Limit, judged, worst
 from station.runs.store import SavedRun, open_run
 from station.shell.finish import Evaluated, evaluate_run
@@ -63,8 +64,8 @@ def verify(path: Path) -> list[RecordCheck]:
     said = "its content is what was written" if same else "its content was changed after it was written"
     found = [RecordCheck("record", same, said)]
     try:
-        for step in record["steps"]:
-            found += _step(step, file.parent)
+        for place, step in enumerate(record["steps"]):
+            found += _step(step, file.parent, record["steps"][:place])
         found.append(_outcome(record))
     except (KeyError, TypeError, AttributeError, ValueError) as error:
         found.append(
@@ -73,7 +74,7 @@ def verify(path: Path) -> list[RecordCheck]:
     return found
 
 
-def _step(step: Mapping[str, Any], folder: Path) -> Iterator[RecordCheck]:
+def _step(step: Mapping[str, Any], folder: Path, before: Sequence[Mapping[str, Any]]) -> Iterator[RecordCheck]:
     key, known = str(step["key"]), step["run"]
     if known is None:
         yield RecordCheck(
@@ -96,10 +97,12 @@ def _step(step: Mapping[str, Any], folder: Path) -> Iterator[RecordCheck]:
         yield RecordCheck(key, True, f"the {len(run.records)} raw records are those of the record{told}")
     yield from (RecordCheck(key, False, sentence) for sentence in run.damaged)
     if step["limits"] or step["result"]:
-        yield from _recomputed(step, run)
+        yield from _recomputed(step, run, before)
 
 
-def _recomputed(step: Mapping[str, Any], run: SavedRun) -> Iterator[RecordCheck]:
+def _recomputed(
+    step: Mapping[str, Any], run: SavedRun, before: Sequence[Mapping[str, Any]]
+) -> Iterator[RecordCheck]:
     key = str(step["key"])
     try:
         again = evaluate_run(run)
@@ -114,7 +117,7 @@ def _recomputed(step: Mapping[str, Any], run: SavedRun) -> Iterator[RecordCheck]
             key, True, f"computed again, the result is the same: {again.result.name} {again.result.value}"
         )
     if step["limits"]:
-        yield _judged_again(step, again)
+        yield _judged_again(step, again, before)
 
 
 def _changed(before: Mapping[str, Any], again: Evaluated) -> Iterator[str]:
@@ -132,27 +135,33 @@ def _changed(before: Mapping[str, Any], again: Evaluated) -> Iterator[str]:
             yield f"{name} was {old:.9g} and is {new if new is None else f'{new:.9g}'}"
 
 
-def _judged_again(step: Mapping[str, Any], again: Evaluated) -> RecordCheck:
+def _judged_again(step: Mapping[str, Any], again: Evaluated, before: Sequence[Mapping[str, Any]]) -> RecordCheck:
     """The limits of the record on what was computed again."""
     key, limits = str(step["key"]), {}
     for one in step["limits"]:
-        known = one["number"], one["at_least"], one["at_most"], one["guard_band"]
+        known = {name: one[name] for name in ("number", "at_least", "at_most")}
+        known |= {name: one.get(name, "") for name in ("less", "over")}
         risk = 0.5 if one["highest_risk"] is None else one["highest_risk"]
-        limits[known] = Limit(one["number"], one["at_least"], one["at_most"], one["guard_band"], risk)
-    decided = judged(again.result, again.document(), limits.values(), doubtful=step["doubtful"])
+        limit = Limit(rule=one["guard_band"], highest_risk=risk, **known)
+        limits[replace(limit, highest_risk=0.5)] = limit
+    steps = steps_by_name((one["key"], one["measurement"], one["result"] or {}) for one in before)
+    decided = judged(again.result, again.document(), limits.values(), doubtful=step["doubtful"], steps=steps)
     now = [limit_document(one) for one in decided]
-    before = {one["name"]: one["verdict"] for one in step["limits"]}
+    then = {one["name"]: one["verdict"] for one in step["limits"]}
     after = {one["name"]: one["verdict"] for one in now}
-    if before != after:
-        names = [name for name in {**before, **after} if before.get(name) != after.get(name)]
-        others = [f"{name} was {before.get(name)} and is {after.get(name)}" for name in names]
+    if then != after:
+        names = [name for name in {**then, **after} if then.get(name) != after.get(name)]
+        others = [f"{name} was {then.get(name)} and is {after.get(name)}" for name in names]
         return RecordCheck(key, False, f"judged again, {'; '.join(others)}")
     return RecordCheck(key, True, f"judged again, the verdict is the same: {step['verdict']}")
 
 
 def _outcome(record: Mapping[str, Any]) -> RecordCheck:
     """Whether the verdict of all is that of the steps."""
-    said, verdicts = record["outcome"]["verdict"], [step["verdict"] for step in record["steps"]]
+    asked = [step["only_if"] for step in record["steps"] if step.get("only_if")]
+    replaced = {one["step"] for one in asked if one["instead"]}
+    said = record["outcome"]["verdict"]
+    verdicts = [step["verdict"] for step in record["steps"] if step["name"] not in replaced]
     of_steps = worst(one for one in verdicts if one is not None)
     if record["outcome"]["failure"] is not None:
         return RecordCheck("record", said in ("ERROR", "ABORTED"), f"the test did not come to its end: {said}")

@@ -267,7 +267,7 @@ def read_entry(file: Path, name: str) -> Entry | None:
         outcome=facts.outcome_text,
         records=records,
         values=(
-            headline_values(document, measurement(facts.command).quantities)
+            headline_values(document, measurement(facts.command).quantities_in(document))
             if facts.command in MEASUREMENTS
             else ()
         ),

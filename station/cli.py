@@ -60,7 +60,7 @@ COMMANDS = {
     ),
     "list": ("commands.instruments:list_command", "List the instruments that VISA can see."),
     "doctor": ("commands.doctor:doctor_command", "Check this installation; say what is missing."),
-    "settings": ("commands.settings:command", "Print a commented settings file to copy."),
+    "settings": ("commands.measure:settings_command", "Print a commented settings file to copy."),
 }
 
 

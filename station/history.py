@@ -102,7 +102,8 @@ def _numbers(step: Mapping[str, Any]) -> Iterator[Followed]:
     """Numbers of a step: its lock-in rate and scale factors, and whatever a limit is set on."""
     name, result = str(step["name"]), step["result"] or {}
     repeat = f", {step['repeat']} of {step['of_repeats']}" if step["of_repeats"] > 1 else ""
-    declared = measurement(step["measurement"]).quantities if step["measurement"] in MEASUREMENTS else ()
+    known = step["measurement"] in MEASUREMENTS
+    declared = measurement(step["measurement"]).quantities_in(result) if known else ()
     for group in declared:
         for value in group.values(result, lambda one: one.trend):
             of = f" {'by the' if group.each == 'by' else 'of'} {value.of}" if value.of else ""
@@ -123,7 +124,7 @@ def failures(tests: Iterable[PastTest]) -> list[tuple[str, int]]:
     return Counter(one.name for test in tests for one in test.numbers if one.failed).most_common()
 
 
-def history_csv(tests: Iterable[PastTest]) -> str:
+def history_csv(tests: Iterable[PastTest], number: str = "") -> str:
     """A row for each number of each test, of a test without any its verdict alone."""
     about = ("unit", "unit_type", "is_reference", "started_at", "campaign", "verdict", "operator", "record")
     names, nothing = ("number", "value", "u", "at_least", "at_most"), ("", *(None,) * 4)
@@ -135,9 +136,9 @@ def history_csv(tests: Iterable[PastTest]) -> str:
             test.verdict,
             test.operator,
         )
-        for of in test.numbers or (None,):
-            number = (of.name, of.value, of.u if math.isfinite(of.u) else None, *of.limits) if of else nothing
-            rows.append(dict(zip((*about, *names), (*told, str(test.path), *number), strict=True)))
+        for of in [one for one in test.numbers if number in one.name] or (None,):
+            said = (of.name, of.value, of.u if math.isfinite(of.u) else None, *of.limits) if of else nothing
+            rows.append(dict(zip((*about, *names), (*told, str(test.path), *said), strict=True)))
     return as_csv([*about, *names], rows)
 
 

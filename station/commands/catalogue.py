@@ -72,10 +72,14 @@ def _day(_: click.Context, __: click.Parameter, value: str | None) -> str | None
     "--plot", type=click.Path(path_type=Path), metavar="FILE", help="Draw the results over time: .svg .png .pdf."
 )
 @click.option("--csv", "as_csv", is_flag=True, help="CSV on stdout: one line for each value of a result.")
+@click.option("--empty", is_flag=True, help="Only those without a record, which the list leaves out otherwise.")
+@click.option("--delete", is_flag=True, help="With --empty: remove them from the disk.")
 @unused_config_option
 @json_option
 def runs_command(
     directory: Path,
+    empty: bool,
+    delete: bool,
     sort: tuple[str, ...],
     limit: int | None,
     plot: Path | None,
@@ -94,6 +98,8 @@ def runs_command(
 
     if as_json and as_csv:
         raise click.UsageError("--json and --csv exclude each other")
+    if delete and not empty:
+        raise click.UsageError("--delete goes with --empty: other runs are not removed")
     if plot is not None:
         from station.report.figure import check_picture_name
 
@@ -102,6 +108,13 @@ def runs_command(
         entries = list_runs(directory, progress=progress)
     asked = RunFilter(**{name: value for name, value in wanted.items() if value})
     found = chosen(entries, asked, sort)
+    folded = [entry for entry in found if not (entry.records or entry.problem)]
+    if empty or not (as_json or as_csv):
+        found = folded if empty else [entry for entry in found if entry not in folded]
+    if delete:
+        for entry in folded:
+            remark(f"{Path(entry.run).parent}: {_removed(Path(entry.run)) or 'removed'}")
+        return EXIT_OK
     shown = found[-(_SHOWN if limit is None and not (as_json or as_csv) else limit or len(found)) :]
     if plot is not None:
         from station.catalogue import write_trend
@@ -114,7 +127,30 @@ def runs_command(
         say(runs_csv(shown).rstrip("\n"))
     else:
         _print(runs_table(shown, directory), len(shown), len(found), len(entries), directory)
-    return 0
+        if folded and not empty:
+            say(f"not shown: {len(folded)} without a record (`gyrolock runs {directory} --empty --delete`)")
+    return EXIT_OK
+
+
+def _removed(run: Path) -> str:
+    """Remove a run without a record from the disk; why it stays where it does."""
+    import shutil
+
+    from station.campaign.journal import JOURNAL
+    from station.live.status import running_programs
+    from station.runs.annotations import remarks_file
+    from station.runs.store import REPORT_FILE, RUN_FILES
+
+    folder = run.parent
+    if any(one.alive and one.run is not None and one.run.resolve() == run.resolve() for one in running_programs()):
+        return "a program takes it at the moment"
+    if any((above / JOURNAL).exists() for above in folder.absolute().parents):
+        return "belongs to the test of a unit"
+    known = {run.name, f"{run.name}-wal", f"{run.name}-shm", REPORT_FILE, remarks_file(run).name}
+    if run.name not in RUN_FILES or {path.name for path in folder.iterdir()} - known:
+        return "holds other files too: remove it by hand"
+    shutil.rmtree(folder)
+    return ""
 
 
 def _print(table: Any, shown: int, found: int, there: int, directory: Path) -> None:
@@ -147,9 +183,7 @@ _SCHEMA = {"name": "gyrolock history", "version": 1}
 @click.argument("directory", default="tests", type=click.Path(path_type=Path), metavar="[DIR]")
 @click.option("--unit", metavar="TEXT", help="Tests of this unit only.")
 @click.option("--type", "unit_type", metavar="TEXT", help="Units of this type only.")
-@click.option(
-    "--number", metavar="TEXT", help="Charts of numbers with this in their name: lock_in_rate, scale_factor."
-)
+@click.option("--number", metavar="TEXT", help="Numbers with this in their name: lock_in_rate, scale_factor.")
 @click.option(
     "--baseline",
     type=click.IntRange(min=8),
@@ -209,7 +243,7 @@ def history_command(
         except OSError as error:
             lost = one_line(error)
     if as_csv:
-        say(history_csv(tests).replace("\r\n", "\n").rstrip("\n"))
+        say(history_csv(tests, number or "").replace("\r\n", "\n").rstrip("\n"))
     elif as_json:
         print_json(_document(directory, tests, charts, unreadable, written))
     else:

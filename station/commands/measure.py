@@ -1,4 +1,4 @@
-"""``gyrolock measure``, the main job, ``acquire``, its first half, and ``deadband``."""
+"""``gyrolock measure``, the main job, ``acquire``, its first half, ``start``, ``deadband`` and ``settings``."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from station.errors import CannotWrite
 from station.shell.options import (
     CHANNELS,
     RUN_PATH,
+    config_option,
     json_option,
     overrides,
     positive,
@@ -215,10 +216,10 @@ def start(context: click.Context, resource: str | None, to: Path, as_json: bool)
     The answers are written to FILE [bench.toml], so the next time is `gyrolock measure --config bench.toml`.
     """
     from station.lock_in.settings import default_settings
-    from station.operator import ask_number, ask_operator, check_terminal
     from station.report.show import write_page
     from station.scope.autoset import look_at_channels
     from station.scope.tools import open_scope
+    from station.terminal import ask_number, ask_operator, check_terminal
 
     tell = remark if as_json else say
     check_terminal()
@@ -280,7 +281,7 @@ def _found_instrument(tell: Callable[[str], None]) -> str:
 
 def _answered(question: str, default: str, is_right: Callable[[str], bool]) -> str:
     """Ask until the answer is one of those that can be meant; Enter means the default."""
-    from station.operator import ask_operator
+    from station.terminal import ask_operator
 
     asked = question
     while not is_right(answer := ask_operator(asked).strip() or default):
@@ -327,3 +328,65 @@ def deadband(paths: tuple[Path, ...], **given: Any) -> int:
     Ctrl-C keeps the records taken so far; --resume goes on with such a run.
     """
     return run_measurement("deadband", given, places=_DEADBAND_PLACES, paths=paths)
+
+
+# --------------------
+# ``gyrolock settings``: a commented settings file to copy, and the JSON Schema of one for editors
+
+
+# file of defaults: the measurement that reads it
+_FILES = {"simulated": "measure", "bench": "measure", "dead_band": "deadband", "fibre_gyro": "table"}
+_OTHERS = {
+    "campaign": "campaign",
+    "rate_table": "controllers/rate_table",
+    "acutrol": "controllers/acutrol",
+    "ideal_aerosmith": "controllers/ideal_aerosmith",
+    "chamber": "controllers/chamber",
+    "power_supply": "controllers/power_supply",
+}
+_NAMES = [*_FILES, *_OTHERS]
+
+
+@click.command("settings")
+@click.argument("name", type=click.Choice(_NAMES), default="simulated")
+@click.option("--schema", is_flag=True, help="Print its JSON Schema, for the completion of an editor.")
+@config_option
+@json_option
+def settings_command(name: str, schema: bool, config: Path | None, as_json: bool) -> int:
+    """Print a commented settings file to copy: `simulated` for the simulated bench, `bench` for a real one.
+
+    `dead_band` is that of `gyrolock deadband`, `campaign` that of `gyrolock station`; `rate_table`, `chamber` and
+    `power_supply` are templates of controllers, `acutrol` and `ideal_aerosmith` those of two kinds of rate tables.
+    With --json, or with --config FILE, the values that would be used are printed instead of the file.
+    """
+    from station.settings import read_toml, shipped_settings
+
+    if schema:
+        print_json(_schema(name))
+        return 0
+    shipped = shipped_settings(_OTHERS.get(name, name))
+    if name in _OTHERS:
+        if config is not None:
+            raise click.UsageError(f"--config shows values of a measurement; {name} is none")
+        values = read_toml(shipped)
+    elif config is not None or as_json:
+        from station.measurements import measurement
+        from station.settings import load
+
+        kind = measurement(_FILES[name]).kind
+        read = load(kind, config) if config is not None else kind.model.model_validate(read_toml(shipped))
+        print_json(read.model_dump(mode="json"))
+        return 0
+    if as_json:
+        print_json(values)
+    else:
+        say(shipped.read_text(encoding="utf-8").rstrip())
+    return 0
+
+
+def _schema(name: str) -> dict[str, object]:
+    from station.campaign.file import campaign_schema, settings_schema, template_schema
+
+    if name == "campaign":
+        return campaign_schema()
+    return template_schema() if name in _OTHERS else settings_schema(_FILES[name])

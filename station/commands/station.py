@@ -87,7 +87,7 @@ def _loop(file: Path, given: dict[str, Any]) -> int:
     from dataclasses import replace
 
     from station.campaign.file import read_campaign
-    from station.operator import ask_operator, check_terminal
+    from station.terminal import ask_operator, check_terminal
 
     if given["unit"] or given["resume"] or given["dry_run"]:
         raise click.UsageError("--loop asks for each unit: leave --unit, --resume and --dry-run out")
@@ -106,7 +106,7 @@ def _loop(file: Path, given: dict[str, Any]) -> int:
 
 def _asked_unit() -> str:
     """Ask for the serial number; UsageError where there is nobody to ask."""
-    from station.operator import ask_operator
+    from station.terminal import ask_operator
 
     if not sys.stdin or not sys.stdin.isatty():
         raise UsageError("which unit is tested? Give its serial number: --unit SN")
@@ -172,7 +172,7 @@ def _check_bench(plan: CampaignPlan) -> None:
 
 def _ask_for_unit(plan: CampaignPlan) -> None:
     """Let the operator bring the unit to the bench; UsageError where there is nobody."""
-    from station.operator import WIRING, ask_operator
+    from station.terminal import WIRING, ask_operator
 
     if not sys.stdin or not sys.stdin.isatty():
         raise UsageError(

@@ -16,7 +16,8 @@ from analysis import LockInEstimate
 from analysis.channel import ChannelResponse
 from analysis.lock_in_run import Batch, by_themselves, rows_of_batches
 from analysis.lockin_rate import noise_model
-from station.errors import CannotWrite
+from instrument import Waveform
+from station.errors import CannotWrite, RunError
 from station.lock_in.estimate import Gathered, give_back_room, together
 from station.ring_laser.records import saved_waveform
 from station.sources.batches import Source
@@ -176,11 +177,10 @@ ARRAYS = tuple(
 
 
 class EstimatesOnDisk(LockInEstimate):
-    """What is said of many records, its arrays on the disk; made by :meth:`of`.
+    """What is said of many records, its arrays on the disk; made by :meth:`of`."""
 
-    Every field is read anew each time: who needs one more than once keeps it. What is derived from it by
-    `dataclasses.replace` is in memory.
-    """
+    # Every field is read anew each time: who needs one more than once keeps it. What is derived from it by
+    # `dataclasses.replace` is in memory.
 
     _columns: ColumnFiles
     _rows: NDArray[np.intp] | None
@@ -276,13 +276,8 @@ class Pairs:
         samples = columns["samples"].astype(np.int64)
         for rows in rows_of_batches(columns["sample_interval_s"], samples):
             numbers = np.concatenate([self.gathered.numbers[rows], self.gathered.seconds[rows]])
-            wanted = set(numbers.tolist())
-            between = self.source.records(range(int(numbers.min()), int(numbers.max()) + 1))
-            waves = {
-                record.number: saved_waveform(record, self.source.path)
-                for record in between
-                if record.number in wanted
-            }
+            order = np.sort(numbers)
+            waves = dict(zip(order.tolist(), read_waveforms(self.source, order), strict=True))
             picked = numbers.reshape(2, -1).tolist()
             volts = np.array([[waves[number].volts for number in channel] for channel in picked])
             clipped = np.array([[waves[number].clipped_samples for number in channel] for channel in picked])
@@ -312,3 +307,14 @@ def with_intact_seconds(gathered: Gathered) -> Gathered:
         each=None if gathered.each is None else gathered.each[kept],
         damaged=tuple(sorted({*gathered.damaged, *map(int, gathered.places[lost])})),
     )
+
+
+def read_waveforms(source: Source, numbers: NDArray[np.int64]) -> list[Waveform]:
+    """Read records of a run by their numbers, which rise, in one pass."""
+    wanted = set(numbers.tolist())
+    between = source.records(range(int(numbers[0]), int(numbers[-1]) + 1)) if wanted else ()
+    found = [saved_waveform(record, source.path) for record in between if record.number in wanted]
+    if len(found) < len(wanted):  # SQLite finds them by one way through its pages and not by another
+        lost = len(wanted) - len(found)
+        raise RunError(f"{source.path}: is damaged: {lost} records cannot be read a second time")
+    return found

@@ -102,7 +102,7 @@ V = TypeVar("V", np.float64, np.int64)
 
 def described_records(piece: Piece) -> Gathered:
     """Read a source, and say all of its records but their estimates."""
-    reading = _Reading(piece, NoRoom(AT_ONCE))
+    reading = _Reading(piece, None)
     reading.read()
     return reading.gathered()
 
@@ -136,7 +136,7 @@ class _Alike:
 class _Reading:
     """One piece while it is read."""
 
-    def __init__(self, piece: Piece, room: Room) -> None:
+    def __init__(self, piece: Piece, room: Room | None) -> None:
         self._piece, self._room, self._wanted = piece, room, SourceEstimates()
         self._name, self._sha256, self._about = str(piece.path), "", dict[str, str | None]()
         self._numbers: list[int] = []
@@ -191,7 +191,8 @@ class _Reading:
             (record,) = stretch.records()
             self._leave_out(record, place, source)
             return
-        self._room.add(self._wanted, row, stretch.payloads, preamble)
+        if self._room is not None:
+            self._room.add(self._wanted, row, stretch.payloads, preamble)
         self._numbers += stretch.numbers
         self._places += range(place, place + count)
         self._keys += stretch.keys
@@ -473,14 +474,7 @@ class _Waits:
     row: int
     payloads: Sequence[bytes]
     preamble: Preamble
-
-
-@dataclass
-class _Batch:
-    """Records that may go through the estimator together."""
-
-    waiting: list[_Waits] = field(default_factory=list)
-    count: int = 0
+    end: int  # records that wait up to and with these
 
 
 class Room:
@@ -489,18 +483,18 @@ class Room:
     def __init__(self, at_once: int) -> None:
         keep_for_batches()
         self._at_once = at_once
-        self._batches: dict[tuple[int, float, int, Method | None], _Batch] = {}
+        self._batches: dict[tuple[int, float, int, Method | None], list[_Waits]] = {}
 
     def add(self, wanted: SourceEstimates, row: int, payloads: Sequence[bytes], preamble: Preamble) -> None:
         """Take records of one source whose rows follow each other, from `row` on."""
         key = preamble.nr_pt, preamble.xincr, preamble.byt_nr, wanted.method
         while payloads:
-            batch = self._batches.setdefault(key, _Batch())
-            some = payloads[: self._at_once - batch.count]
-            batch.waiting.append(_Waits(wanted, row, some, preamble))
-            batch.count += len(some)
+            batch = self._batches.setdefault(key, [])
+            before = batch[-1].end if batch else 0
+            some = payloads[: self._at_once - before]
+            batch.append(_Waits(wanted, row, some, preamble, before + len(some)))
             row, payloads = row + len(some), payloads[len(some) :]
-            if batch.count >= self._at_once:
+            if batch[-1].end >= self._at_once:
                 self._estimate(self._batches.pop(key))
 
     def estimate_all(self) -> None:
@@ -508,28 +502,19 @@ class Room:
         while self._batches:
             self._estimate(self._batches.popitem()[1])
 
-    def _estimate(self, batch: _Batch) -> None:
-        first = batch.waiting[0]
+    def _estimate(self, batch: Sequence[_Waits]) -> None:
+        first = batch[0]
         if first.wanted.method is None:
             return
-        codes = codes_of([payload for one in batch.waiting for payload in one.payloads], first.preamble)
-        preambles = tuple(one.preamble for one in batch.waiting for _ in one.payloads)
+        codes = codes_of([payload for one in batch for payload in one.payloads], first.preamble)
+        preambles = tuple(one.preamble for one in batch for _ in one.payloads)
         room: NDArray[np.float64] | None = getattr(_OF_THREAD, "room", None)
         if room is None or room.shape[1:] != codes.shape[1:] or len(room) < codes.shape[0]:
             room = _OF_THREAD.room = np.empty(codes.shape)
         estimate = estimate_batch(RecordBatch(codes, preambles), first.wanted.method, room)
-        begin = 0
-        for one in batch.waiting:
-            count = len(one.payloads)
-            one.wanted.parts.append((np.arange(one.row, one.row + count), estimate[begin : begin + count]))
-            begin += count
-
-
-class NoRoom(Room):
-    """Records that nobody estimates."""
-
-    def add(self, wanted: SourceEstimates, row: int, payloads: Sequence[bytes], preamble: Preamble) -> None:
-        """Take records, and let them go."""
+        for one in batch:
+            rows = np.arange(one.row, one.row + len(one.payloads))
+            one.wanted.parts.append((rows, estimate[one.end - rows.size : one.end]))
 
 
 _OF_THREAD = threading.local()

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from statistics import fmean
-from typing import Any, Protocol, overload
+from typing import Any, TypeVar, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,7 +31,7 @@ from analysis.lock_in_run import (
 from instrument import Waveform
 from station.errors import NoUsableSignal, RunError, UsageError
 from station.files import given_back
-from station.lock_in.columns import Collected, Pairs, whole_pairs, with_intact_seconds
+from station.lock_in.columns import Collected, Pairs, read_waveforms, whole_pairs, with_intact_seconds
 from station.lock_in.estimate import FAST, Gathered, Piece, described_records, estimate_pieces, pieces_of
 from station.lock_in.settings import Settings, run_knowledge
 from station.ring_laser.records import saved_waveform
@@ -41,6 +41,7 @@ from station.sources.batches import Source
 from station.sources.run import source_of
 from station.sources.workers import Workers
 
+R = TypeVar("R")
 _LOOKED_AT = 200  # records that are read together where only some are looked at
 
 
@@ -65,8 +66,9 @@ def evaluate_records(
     if not len(gathered):
         what = "only damaged records" if gathered.taken else "no record at the slow rate"
         raise RunError(f"{source.name}: the run holds {what}")
-    waveforms = SavedWaveforms(source, gathered.numbers)
-    slow = gathered_arrays(gathered, waveforms)
+    numbers, places = gathered.numbers, gathered.places
+    waveforms = RowsOnDemand(numbers.size, lambda rows: read_waveforms(source, numbers[rows]))
+    slow = gathered_arrays(gathered, waveforms.many)
     if paired:
         slow = replace(slow, batches=Pairs(source, gathered), n_channels=2)
     arrays = RunArrays(slow, _arrays(gathered.fast, run))
@@ -77,7 +79,7 @@ def evaluate_records(
         rows = found.several.reference_group.rows
     return LockInEvaluation(
         **vars(found),
-        names=Numbered(gathered.places),
+        names=RowsOnDemand(places.size, lambda rows: [str(place + 1) for place in places[rows]]),
         waveforms=waveforms,
         damaged=tuple(str(place + 1) for place in gathered.damaged),
         damage=gathered.damage,
@@ -113,18 +115,14 @@ def errors_in_words() -> Iterator[None]:
         raise UsageError(str(error)) from None
 
 
-class ReadAgain(Protocol):
-    """Records that are read when they are asked for."""
-
-    def many(self, rows: NDArray[np.intp]) -> list[Waveform]:
-        """Read some of them, whose rows rise, in one pass."""
+Read = Callable[[NDArray[np.intp]], Sequence[Waveform]]  # some records, whose rows rise, in one pass
 
 
 @dataclass(frozen=True)
 class _AskedFor:
-    """Volts of records that are estimated already, for what looks at some of them again."""
+    """Volts of records, read again when something looks at some of them."""
 
-    waveforms: ReadAgain
+    read: Read
     intervals: NDArray[np.float64]
     samples: NDArray[np.int64]
 
@@ -132,17 +130,17 @@ class _AskedFor:
         for shape in rows_of_batches(self.intervals, self.samples):
             for first in range(0, shape.size, _LOOKED_AT):
                 rows = shape[first : first + _LOOKED_AT]
-                waves = self.waveforms.many(rows)
+                waves = self.read(rows)
                 volts, clipped = [wave.volts for wave in waves], [wave.clipped_samples for wave in waves]
                 yield Batch(rows, waves[0].sample_interval, np.array([volts]), np.array([clipped]))
 
 
-def gathered_arrays(gathered: Gathered, waveforms: ReadAgain) -> RecordArrays:
+def gathered_arrays(gathered: Gathered, read: Read) -> RecordArrays:
     """Records as arrays; their samples are read again where some are asked for."""
     columns = gathered.columns
     samples = columns["samples"].astype(np.int64)
     return RecordArrays(
-        batches=_AskedFor(waveforms, columns["sample_interval_s"], samples),
+        batches=_AskedFor(read, columns["sample_interval_s"], samples),
         n_channels=1,
         samples=samples,
         level_spacing=columns["level_spacing_v"],
@@ -173,21 +171,6 @@ def lock_in_so_far(records: Sequence[SavedRecord], run: SavedRun, settings: Sett
     return preliminary_lock_in(_arrays(records, run), settings.gyro.scale_factor_pulses_per_deg)
 
 
-@dataclass(frozen=True)
-class _Volts:
-    """Volts of some waveforms, made batch by batch."""
-
-    waveforms: Sequence[Waveform]
-
-    def __iter__(self) -> Iterator[Batch]:
-        intervals = np.array([wave.sample_interval for wave in self.waveforms])
-        samples = np.array([wave.codes.size for wave in self.waveforms], dtype=np.int64)
-        for rows in rows_of_batches(intervals, samples):
-            waves = [self.waveforms[row] for row in rows]
-            volts, clipped = [wave.volts for wave in waves], [wave.clipped_samples for wave in waves]
-            yield Batch(rows, waves[0].sample_interval, np.array([volts]), np.array([clipped]))
-
-
 def _arrays(records: Sequence[SavedRecord], run: SavedRun) -> RecordArrays:
     """A few records of a run as arrays, with the conditions under which they were saved."""
     waveforms = [saved_waveform(record, run.path) for record in records]
@@ -196,10 +179,12 @@ def _arrays(records: Sequence[SavedRecord], run: SavedRun) -> RecordArrays:
         values = [record.conditions.get(name) for record in records]
         return np.array([math.nan if value is None else float(value) for value in values], dtype=np.float64)
 
+    samples = np.array([wave.codes.size for wave in waveforms], dtype=np.int64)
+    intervals = np.array([wave.sample_interval for wave in waveforms])
     return RecordArrays(
-        batches=_Volts(waveforms),
+        batches=_AskedFor(lambda rows: [waveforms[row] for row in rows], intervals, samples),
         n_channels=1,
-        samples=np.array([wave.codes.size for wave in waveforms], dtype=np.int64),
+        samples=samples,
         level_spacing=np.array([abs(wave.preamble.ymult) for wave in waveforms]),
         table_rate=condition("table_rate_dps"),
         azimuth_start=condition("azimuth_start_deg"),
@@ -265,50 +250,20 @@ def describe_method(method: Method) -> str:
     return f"{RELATIONS[method.relation]}, {reference}"
 
 
-class Numbered(Sequence[str]):
-    """Names of records that are called by their places, from 0: "1", "2", ..."""
+class RowsOnDemand(Sequence[R]):
+    """What belongs to each record, made or read when it is asked for."""
 
-    def __init__(self, places: NDArray[np.int64]) -> None:
-        self._places = places
-
-    def __len__(self) -> int:
-        return int(self._places.size)
-
-    @overload
-    def __getitem__(self, place: int) -> str: ...
-    @overload
-    def __getitem__(self, place: slice) -> Sequence[str]: ...
-    def __getitem__(self, place: int | slice) -> str | Sequence[str]:
-        if isinstance(place, slice):
-            return Numbered(self._places[place])
-        return str(self._places[place] + 1)
-
-
-class SavedWaveforms(Sequence[Waveform]):
-    """Records of a run by their numbers, read from it when they are asked for."""
-
-    def __init__(self, source: Source, numbers: NDArray[np.int64]) -> None:
-        self._source, self._numbers = source, numbers
+    def __init__(self, count: int, many: Callable[[NDArray[np.intp]], list[R]]) -> None:
+        self._count, self.many = count, many  # of some rows, which rise, in one pass
 
     def __len__(self) -> int:
-        return int(self._numbers.size)
+        return self._count
 
     @overload
-    def __getitem__(self, place: int) -> Waveform: ...
+    def __getitem__(self, place: int) -> R: ...
     @overload
-    def __getitem__(self, place: slice) -> Sequence[Waveform]: ...
-    def __getitem__(self, place: int | slice) -> Waveform | Sequence[Waveform]:
+    def __getitem__(self, place: slice) -> list[R]: ...
+    def __getitem__(self, place: int | slice) -> R | list[R]:
         if isinstance(place, slice):
-            return SavedWaveforms(self._source, self._numbers[place])
-        return self.many(np.array([place]))[0]
-
-    def many(self, rows: NDArray[np.intp]) -> list[Waveform]:
-        """Read some records, whose rows rise, in one pass."""
-        numbers = self._numbers[rows]
-        wanted = set(numbers.tolist())
-        between = self._source.records(range(int(numbers[0]), int(numbers[-1]) + 1))
-        found = [saved_waveform(record, self._source.path) for record in between if record.number in wanted]
-        if len(found) < len(wanted):  # SQLite finds them by one way through its pages and not by another
-            path = self._source.path
-            raise RunError(f"{path}: is damaged: {len(wanted) - len(found)} records cannot be read a second time")
-        return found
+            return self.many(np.arange(*place.indices(self._count)))
+        return self.many(np.array([range(self._count)[place]]))[0]

@@ -177,7 +177,7 @@ _NO_SCALE_FACTOR = (
 def ask_scale_factor() -> float:
     """Ask the operator for the scale factor; UsageError if there is no terminal."""
     # only here somebody is asked
-    from station.operator import ask_number
+    from station.terminal import ask_number
 
     return ask_number("Scale factor of the gyro in pulses per degree: ", _NO_SCALE_FACTOR)
 

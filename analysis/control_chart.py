@@ -57,12 +57,7 @@ class ControlChart:
 
 
 def control_chart(values: ArrayLike, *, baseline: int = 25) -> ControlChart:
-    """Draw up the chart of values in the order of time.
-
-    >>> chart = control_chart([10, 11, 10, 9, 10, 11, 9, 10, 10, 16])
-    >>> chart.signals[0].place, chart.last_is_in_control
-    (9, False)
-    """
+    """Draw up the chart of values in the order of time."""
     x = np.asarray(values, dtype=np.float64)
     if x.ndim != 1 or not np.isfinite(x).all():
         raise ValueError("a control chart needs one row of finite values")

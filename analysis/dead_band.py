@@ -49,13 +49,8 @@ TREMBLE = 0.25  # turns
 def rounded_pulse_rate(
     input_rate: ArrayLike, *, scale_factor: float, lock_in_rate: ArrayLike, random_walk: ArrayLike
 ) -> Floats:
-    """Mean pulse rate, Hz, with the sign of the rate: equation (1). Arguments broadcast.
-
-    At the corner itself noise gives pulses, where there should be none.
-
-    >>> rounded_pulse_rate([0.05, 0.2], scale_factor=2000, lock_in_rate=0.05, random_walk=1e-4).round(2).tolist()
-    [8.58, 387.3]
-    """
+    """Mean pulse rate, Hz, with the sign of the rate: equation (1). Arguments broadcast."""
+    # At the corner itself noise gives pulses, where there should be none.
     given = (np.asarray(v, dtype=np.float64) for v in (input_rate, lock_in_rate, random_walk))
     rate, lock_in, walk = np.broadcast_arrays(*given)
     possible = np.all(np.isfinite(rate)) and np.all(lock_in >= 0) and np.all(walk >= 0) and scale_factor > 0

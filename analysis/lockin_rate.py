@@ -313,12 +313,11 @@ LOSS = 0.01
 
 @dataclass(frozen=True)
 class Beat:
-    """Frequency and harmonic ratio of (R,) records, with their covariance.
+    """Frequency and harmonic ratio of (R,) records, with their covariance."""
 
-    size is |q| as fitted, ratio the same freed of its bias; covariance (R, 3, 3) is that of frequency, size of
-    the ratio, and its part across (phase times size), from noise; misfit is the standard uncertainty of both parts
-    of the ratio by what is no noise.
-    """
+    # size is |q| as fitted, ratio the same freed of its bias; covariance (R, 3, 3) is that of frequency, size of
+    # the ratio, and its part across (phase times size), from noise; misfit is the standard uncertainty of both
+    # parts of the ratio by what is no noise.
 
     frequency: Floats
     size: Floats
@@ -698,12 +697,7 @@ TABLE_END = 9.0
 
 
 def size_interval(size: ArrayLike) -> tuple[Floats, Floats]:
-    """Lower and upper 95 % limit of a true size, given the observed one, both in standard uncertainties.
-
-    >>> low, high = size_interval([0.5, 20.0])
-    >>> [round(float(v), 1) for v in (*low, *high)]
-    [0.0, 18.0, 2.0, 21.9]
-    """
+    """Lower and upper 95 % limit of a true size, given the observed one, both in standard uncertainties."""
     observed = np.asarray(size, dtype=np.float64)
     true, accepted_from, accepted_to = _acceptance()
     low = np.interp(observed, accepted_to, true)

@@ -81,10 +81,8 @@ def mains_clearance(frequency: float, duration: float, mains: Sequence[float]) -
 def off_mains(
     beat: float, lock_in_rate: float, scale_factor: float, duration: float, mains: Sequence[float]
 ) -> float:
-    """The least change of the rate, deg/s faster, that brings a beat (Hz) in records so long (s) off the mains.
-
-    0 where none makes it better: up to 16 % faster, and 6 % slower, since a gyro locks where it is slow.
-    """
+    """The least change of the rate, deg/s faster, that brings a beat (Hz) in records so long (s) off the mains."""
+    # 0 where none makes it better: up to 16 % faster, and 6 % slower, since a gyro locks where it is slow.
     rate = math.hypot(beat / scale_factor, lock_in_rate)
 
     def clearance(move: float) -> float:
@@ -461,19 +459,10 @@ DEFAULT_RECORDS = 3  # at each rate and sense: fewer would not show whether they
 
 
 def run_order(rates: Sequence[float]) -> tuple[tuple[float, bool], ...]:
-    """Signed rates in the order in which a run goes to them, and whether it has been there before.
-
-    What drifts evenly over a run must not look like a change with the rate or with the sense. With several rates
-    in both senses the slow ones, which carry the lock-in rate, stand in the middle; with one rate, or in one
-    sense, the run goes the whole way back and ends where it began. Two visits of a rate share its records.
-
-    >>> run_order([3.0, 30.0])
-    ((30.0, False), (3.0, False), (30.0, True))
-    >>> run_order([8.0, -8.0])
-    ((8.0, False), (-8.0, False), (8.0, True))
-    >>> [rate for rate, _ in run_order([3.0, 10.0, -3.0, -10.0])]
-    [10.0, 3.0, -3.0, -10.0]
-    """
+    """Signed rates in the order in which a run goes to them, and whether it has been there before."""
+    # What drifts evenly over a run must not look like a change with the rate or with the sense. With several rates
+    # in both senses the slow ones, which carry the lock-in rate, stand in the middle; with one rate, or in one
+    # sense, the run goes the whole way back and ends where it began. Two visits of a rate share its records.
     first = 1.0 if max(rates) > 0 else -1.0
     down = sorted({rate for rate in rates if rate * first > 0}, key=abs, reverse=True)
     up = sorted({rate for rate in rates if rate * first < 0}, key=abs)
@@ -490,15 +479,10 @@ def default_rates(
     fastest_rate: float = math.inf,
     fastest_beat_hz: float = math.inf,
 ) -> tuple[float, ...]:
-    """Rates to measure at, in expected lock-in rates, each in both senses.
-
-    Five rates from 1.5 times the largest lock-in rate that is possible to ten times that, evenly on a logarithmic
-    scale; closer together where table or receiver do not go so far, and fewer where less than a quarter would lie
-    between two.
-
-    >>> default_rates(0.01, 2000.0)
-    (3.0, 5.3, 9.5, 17.0, 30.0)
-    """
+    """Rates to measure at, in expected lock-in rates, each in both senses."""
+    # Five rates from 1.5 times the largest lock-in rate that is possible to ten times that, evenly on a
+    # logarithmic scale; closer together where table or receiver do not go so far, and fewer where less than a
+    # quarter would lie between two.
     for name, value in (("expected_lock_in_rate", expected_lock_in_rate), ("scale_factor", scale_factor)):
         if not (value > 0 and math.isfinite(value)):
             raise ValueError(f"{name} must be a positive number, not {value!r}")

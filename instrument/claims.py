@@ -231,16 +231,9 @@ _HISLIP_PORT = ",4880"  # the one that is meant where none is named
 
 
 def link_of(name: str) -> str:
-    """Return the link that a resource name means, in one spelling: host and port, serial port, bus and address.
-
-    An adapter is one link, whatever is behind it: two programs that send it to two instruments spoil both. What
-    never leaves the process (pySerial's ``loop://``) has no link: an empty text.
-
-    >>> link_of("TCPIP0::127.0.0.1::4001::SOCKET"), link_of("socket://127.0.0.2:4001")
-    ('tcp 127.0.0.1 4001', 'tcp 127.0.0.1 4001')
-    >>> link_of("USB0::0x0699::0x0368::C012345::INSTR"), link_of("GPIB::7")
-    ('usb 1689 872 C012345', 'gpib 0 7')
-    """
+    """Return the link that a resource name means, in one spelling: host and port, serial port, bus and address."""
+    # An adapter is one link, whatever is behind it: two programs that send it to two instruments spoil both. What
+    # never leaves the process (pySerial's ``loop://``) has no link: an empty text.
     name = name.strip()
     if (url := _URL.fullmatch(name)) is not None:
         return f"tcp {_address(url['host'].strip('[]'))} {int(url['port'])}"
@@ -347,11 +340,7 @@ _DENIED = ("permission", "access denied", "errno 13")
 
 
 def visa_name(name: str) -> str:
-    """The VISA name of a serial port that is given by its plain name; any other name as it is.
-
-    >>> visa_name("COM3"), visa_name("/dev/ttyUSB0"), visa_name("GPIB0::1::INSTR")
-    ('ASRL3::INSTR', 'ASRL/dev/ttyUSB0::INSTR', 'GPIB0::1::INSTR')
-    """
+    """The VISA name of a serial port that is given by its plain name; any other name as it is."""
     plain = _PLAIN_SERIAL.fullmatch(name.strip())
     if plain is None:
         return name
@@ -359,11 +348,7 @@ def visa_name(name: str) -> str:
 
 
 def behind_adapter(name: str) -> tuple[str, str] | None:
-    """The names of adapter and instrument in a name that holds both; None if it does not.
-
-    >>> behind_adapter("PRLGX-TCPIP1::10.0.0.5::1234::GPIB::7::INSTR")
-    ('PRLGX-TCPIP1::10.0.0.5::1234::INTFC', 'GPIB1::7::INSTR')
-    """
+    """The names of adapter and instrument in a name that holds both; None if it does not."""
     found = _ADAPTER.fullmatch(name.strip())
     if found is None:
         return None
@@ -371,11 +356,7 @@ def behind_adapter(name: str) -> tuple[str, str] | None:
 
 
 def advice(name: str, problem: str) -> str:
-    """What to do about a name that cannot be opened, as the end of a sentence; empty where nothing is known.
-
-    >>> "0699" in advice("USB0::0x0699::0x0368::C1::INSTR", "[Errno 13] Access denied")
-    True
-    """
+    """What to do about a name that cannot be opened, as the end of a sentence; empty where nothing is known."""
     kind = visa_name(name).upper()
     denied = any(word in problem.lower() for word in _DENIED)
     if kind.startswith("USB") and denied:

@@ -332,11 +332,7 @@ class ActionsSection(TemplateSection):
 
 
 class InUnit:
-    """Names in a file for the attributes of a quantity: those of numbers have its unit.
-
-    >>> InUnit("dps")("change_per_s"), InUnit("v")("highest"), InUnit("v")("ask")
-    ('change_dps_per_s', 'highest_v', 'ask')
-    """
+    """Names in a file for the attributes of a quantity: those of numbers have its unit."""
 
     def __init__(self, unit: str) -> None:
         self.unit = unit

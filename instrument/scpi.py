@@ -10,11 +10,7 @@ from instrument.errors import TransferError
 
 
 def split_parts(text: str, separator: str = ";") -> list[str]:
-    """Split an answer at `separator`, but never inside a quoted string.
-
-    >>> split_parts('1;"Ch1; DC";Y')
-    ['1', '"Ch1; DC"', 'Y']
-    """
+    """Split an answer at `separator`, but never inside a quoted string."""
     parts = [""]
     for number, stretch in enumerate(text.split('"')):
         if number:
@@ -29,15 +25,10 @@ def split_parts(text: str, separator: str = ";") -> list[str]:
 
 
 def split_header(part: str) -> tuple[str, str]:
-    """Separate one part of an answer into its header ("" where headers are off) and its value.
-
-    A header is a word of letters, digits, ``_``, ``:`` or ``*`` that starts with a colon or a letter and is
-    followed by a blank. A value alone never looks like that: numbers start with a digit or a sign, strings
-    with a quote, and single words have no blank behind them.
-
-    >>> split_header(":WFMPRE:BYT_NR 1"), split_header("2500"), split_header('"Ch1, DC"')
-    ((':WFMPRE:BYT_NR', '1'), ('', '2500'), ('', '"Ch1, DC"'))
-    """
+    """Separate one part of an answer into its header ("" where headers are off) and its value."""
+    # A header is a word of letters, digits, ``_``, ``:`` or ``*`` that starts with a colon or a letter and is
+    # followed by a blank. A value alone never looks like that: numbers start with a digit or a sign, strings with
+    # a quote, and single words have no blank behind them.
     part = part.strip()
     word, blank, value = part.partition(" ")
     looks_like_header = word[:1] in (":", "*") or word[:1].isalpha()
@@ -85,13 +76,8 @@ def integer(text: str) -> int:
 
 
 def nr3(value: float) -> str:
-    """Write a number as the scope does: one digit, a point, at least one digit, E, plain exponent.
-
-    The shortest digits that read back to the same float are used.
-
-    >>> nr3(0.00025), nr3(0), nr3(-11008), nr3(50)
-    ('2.5E-4', '0.0E0', '-1.1008E4', '5.0E1')
-    """
+    """Write a number as the scope does: one digit, a point, at least one digit, E, plain exponent."""
+    # The shortest digits that read back to the same float are used.
     if value == 0:
         return "0.0E0"
     # repr() gives the shortest digits that read back to the same float; formatting would round them again.

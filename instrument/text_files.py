@@ -69,11 +69,7 @@ class Transcript:
 
 
 def as_text(data: bytes) -> dict[str, str]:
-    r"""Bytes as JSON can hold them: `text` where they are plain ASCII, else `base64`.
-
-    >>> as_text(b"*IDN?\n"), as_text(b"\x80\x81")
-    ({'text': '*IDN?\n'}, {'base64': 'gIE='})
-    """
+    """Bytes as JSON can hold them: `text` where they are plain ASCII, else `base64`."""
     if _PLAIN.issuperset(data):
         return {"text": data.decode("ascii")}
     return {"base64": base64.b64encode(data).decode("ascii")}

@@ -94,10 +94,8 @@ def served_controllers(table: SimulatedRateTable | None, *, tcp: bool) -> Iterat
 
 @functools.cache
 def simulated_device(name: str) -> tuple[LineDevice, Clock]:
-    """Return the simulated chamber or power supply of this program, and the clock that it lives by.
-
-    There is one of each: what one measurement has set, the next one finds.
-    """
+    """Return the simulated chamber or power supply of this program, and the clock that it lives by."""
+    # There is one of each: what one measurement has set, the next one finds.
     clock = VirtualClock()
     return (SimulatedChamber(clock) if name == "chamber" else SimulatedPowerSupply()), clock
 
@@ -120,10 +118,9 @@ def open_chamber_or_supply(
 
 @dataclass
 class EnvironmentControllers:
-    """Chamber and power supply, read beside each record.
+    """Chamber and power supply, read beside each record."""
 
-    One that does not answer is told once and not asked again: the record is taken all the same, without it.
-    """
+    # One that does not answer is told once and not asked again: the record is taken all the same, without it.
 
     tell: Tell
     controllers: dict[str, Controller] = field(default_factory=dict)

@@ -18,11 +18,7 @@ _ACTS = re.compile(r"'*[=+\-@\t\r]")
 
 
 def inert(text: str) -> str:
-    """A text as a cell that no spreadsheet carries out (OWASP, CSV injection); :func:`alive` is the way back.
-
-    >>> inert("=1+1"), inert("-0.5"), alive(inert("'=1")), inert("RLG-7")
-    ("'=1+1", '-0.5', "'=1", 'RLG-7')
-    """
+    """A text as a cell that no spreadsheet carries out (OWASP, CSV injection); :func:`alive` is the way back."""
     if not _ACTS.match(text):
         return text
     try:
@@ -100,11 +96,9 @@ def keep_for_batches() -> None:
 
 @contextmanager
 def given_back() -> Iterator[None]:
-    """Return what is free, some 60 MB after the last batch, and meanwhile every large array when it goes.
-
-    Arrays of one number for each of a million records come and go in all sizes: kept, they leave holes. Estimates
-    that follow, in a notebook, are batches again.
-    """
+    """Return what is free, some 60 MB after the last batch, and meanwhile every large array when it goes."""
+    # Arrays of one number for each of a million records come and go in all sizes: kept, they leave holes.
+    # Estimates that follow, in a notebook, are batches again.
     _set_limits(_GIVEN_BACK_BYTES)
     with suppress(OSError, AttributeError):
         ctypes.CDLL("libc.so.6").malloc_trim(0)

@@ -317,11 +317,7 @@ def rate_words(rate: PlannedRate) -> tuple[str, ...]:
 
 
 def duration_words(seconds: float) -> str:
-    """Write a duration.
-
-    >>> duration_words(3.44), duration_words(200.0), duration_words(9000.0)
-    ('3 s', '3 min 20 s', '2 h 30 min')
-    """
+    """Write a duration."""
     whole = round(seconds)
     if whole < 60:
         return f"{whole} s" if whole else "less than 1 s"

@@ -63,11 +63,7 @@ def _deeper(value: object, levels: int) -> bool:
 
 
 def merged(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
-    """Lay one tree of values over another; neither is changed.
-
-    >>> merged({"a": {"b": 1, "c": 2}}, {"a": {"c": 3}})
-    {'a': {'b': 1, 'c': 3}}
-    """
+    """Lay one tree of values over another; neither is changed."""
     both: dict[str, Any] = {
         key: merged(value, {}) if isinstance(value, dict) else value for key, value in below.items()
     }

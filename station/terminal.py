@@ -1,9 +1,12 @@
-"""Lines on stdout and stderr that do not break, whatever they hold and whoever has closed the stream."""
+"""Lines on stdout and stderr that do not break, whoever has closed the stream; asking the operator."""
+
+from __future__ import annotations
 
 import codecs
 import errno
 import io
 import json
+import math
 import os
 import re
 import select
@@ -11,9 +14,12 @@ import sys
 import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from typing import IO, Any, Self
+from typing import IO, TYPE_CHECKING, Any, Self
 
-from station.errors import Failure
+from station.errors import Failure, UsageError
+
+if TYPE_CHECKING:
+    from instrument import ManualRateTable
 
 _IN_MEMORY = 1 << 22  # characters
 
@@ -262,11 +268,7 @@ _UNSEEN = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u200e\u200f\u2028-\u202e\u206
 
 
 def visible(text: str) -> str:
-    r"""Return a text in which every character that is not seen, but does something, is written out.
-
-    >>> visible("RLG \x1b[2J7")
-    'RLG \\x1b[2J7'
-    """
+    """Return a text in which every character that is not seen, but does something, is written out."""
     return _UNSEEN.sub(lambda found: found[0].encode("unicode_escape").decode("ascii"), text)
 
 
@@ -299,3 +301,66 @@ def free_terminal(question: str) -> Iterator[None]:
         for _, back in _stepping_aside:
             with suppress(OSError, ValueError):
                 back()
+
+
+# --------------------
+# Asking the operator
+
+
+WIRING = """\
+    gyro ── photodiode ── amplifier ── coaxial cable ── CH1 of the oscilloscope
+                                                         │ GPIB, RS-232 or USB
+    rate table ── its controller ─────────────────────── computer
+"""
+"""How the bench is wired, for a prompt."""
+
+
+def ask_operator(question: str) -> str:
+    """Ask on stderr, since stdout belongs to the result."""
+    check_terminal()
+    try:
+        with free_terminal(question):
+            sys.stderr.write(f"\n{visible(question)}")
+            sys.stderr.flush()
+            answer = sys.stdin.readline()
+    except (OSError, ValueError):
+        answer = ""
+    if not answer:
+        raise UsageError("the terminal was closed while the operator was asked")
+    return answer
+
+
+def ask_number(question: str, missing: str, default: str = "") -> float:
+    """Ask for a positive number until one is typed; Enter means the default."""
+    if not sys.stdin.isatty():
+        raise UsageError(missing)
+    asked = question
+    while True:
+        try:
+            number = float(ask_operator(asked).strip().replace(",", ".") or default)
+        except ValueError:
+            number = math.nan
+        if math.isfinite(number) and number > 0:
+            return number
+        asked = f"That is not a positive number. {question}"
+
+
+def check_terminal() -> None:
+    """See that there is somebody to ask, before anything moves; UsageError if there is not."""
+    try:
+        there = sys.stdin is not None and sys.stdin.isatty()
+    except ValueError:  # it is closed
+        there = False
+    if not there:
+        raise UsageError(
+            "an operator must turn the table and the gyro, and there is no terminal to ask on: start it in a "
+            "terminal"
+        )
+
+
+def operator_table() -> ManualRateTable:
+    """Return a rate table that the operator sets by hand; its azimuth is not known. Raises as above."""
+    from instrument import ManualRateTable  # needs NumPy
+
+    check_terminal()
+    return ManualRateTable(ask=ask_operator, azimuth_deg=math.nan)

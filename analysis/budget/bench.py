@@ -87,20 +87,12 @@ FRONT_END_LIMIT = 0.1  # relative error of a corner or of a response that the re
 
 
 def lowest_bandwidth(slowest_beat_hz: float) -> float:
-    """Lowest -3 dB bandwidth of a channel of which nobody said anything, Hz.
-
-    >>> lowest_bandwidth(160.0)
-    800.0
-    """
+    """Lowest -3 dB bandwidth of a channel of which nobody said anything, Hz."""
     return LOWEST_BANDWIDTH_OVER_BEAT * slowest_beat_hz
 
 
 def lowest_gain_corner(slowest_beat_hz: float) -> float:
-    """Lowest corner of the laser's gain of which nobody said anything, Hz.
-
-    >>> lowest_gain_corner(160.0), lowest_gain_corner(4000.0)
-    (480.0, 5000.0)
-    """
+    """Lowest corner of the laser's gain of which nobody said anything, Hz."""
     return min(LOWEST_GAIN_CORNER_OVER_BEAT * slowest_beat_hz, LOWEST_GAIN_CORNER_HZ)
 
 

@@ -255,13 +255,7 @@ def third_order_input(point: OperatingPoint, known: Bounded, slope: float) -> Bu
 
 
 def level(amplitude: float) -> str:
-    """A level of a harmonic in words.
-
-    Examples
-    --------
-    >>> level(0.01), level(0.0)
-    ('-40 dBc', 'none')
-    """
+    """A level of a harmonic in words."""
     return f"{20 * math.log10(amplitude):.0f} dBc" if amplitude > 0 else "none"
 
 

@@ -184,16 +184,9 @@ _SIGNALS, _POWERS, _VARIANCES = 48, 180, 8
 
 
 def signal_interval(power: float, own: float, freedom: float) -> tuple[float, float]:
-    """95 % interval of the power of a signal.
-
-    Power over the variance of the noise is chi-square with the signal's power over the same variance as
-    noncentrality; the variance is the one that was measured times `freedom` over chi-square.
-
-    >>> [round(end) for end in signal_interval(4.0, 10.0, 1e6)]
-    [0, 5]
-    >>> [round(end) for end in signal_interval(1000.0, 10.0, 1e6)]
-    [871, 1119]
-    """
+    """95 % interval of the power of a signal."""
+    # Power over the variance of the noise is chi-square with the signal's power over the same variance as
+    # noncentrality; the variance is the one that was measured times `freedom` over chi-square.
     variance = _variances(freedom, _LEVELS)
     noise_alone = float(np.mean(scipy.special.chdtrc(own, power / variance)))
     if noise_alone < _CLEAR or own > _MOST_POWERS or freedom < _FEWEST:
@@ -287,11 +280,7 @@ _FEW = 0.002  # of all words, or three
 
 
 def outliers(words: ArrayLike) -> Bools:
-    """Tell which words are outliers; nan is none.
-
-    >>> outliers([5.0, 5.1, 4.9, 5.0, 1e6, 5.1, 4.9, 5.0]).tolist().index(True)
-    4
-    """
+    """Tell which words are outliers; nan is none."""
     values = np.asarray(words, dtype=np.float64)
     none = np.zeros(values.size, dtype=np.bool_)
     if values.size < 8:

@@ -276,7 +276,9 @@ def _fit(
         start = np.where(known.sd > 0, found.parameters, known.mean)
         found = up_to(fit_ratios(points.points, known, start), most)
     if chosen == "all" and np.any(np.abs(found.parameters[0, SENSES + 1 :]) > _DRIFTS):
-        known = _as_large_as_seen(known, found)
+        size, u = np.abs(found.parameters[0]), np.sqrt(np.diagonal(found.covariance[0]))
+        shown = (size > known.sd) & (u < _SHOWN * known.sd) & (np.arange(N_PARAMETERS) >= SENSES)
+        known = Prior(known.mean, np.where(shown, size, known.sd))
         points = at_mean_times(points, found.parameters[:1])
         found = up_to(all_solutions(points.points, known), most)
     points, found = _beyond_first_order(points, found, _prior(chosen, known), most)
@@ -360,13 +362,6 @@ _MAYBE = 2.0  # standard uncertainties beyond which a drift of the lock-in rate 
 _DRIFTS = 0.05  # drifts over a run, rad or relative, up to which the means of the visits lose nothing
 
 
-def _as_large_as_seen(known: Prior, found: RatioFit) -> Prior:
-    """What is known beforehand, with no bound against a phase or a drift that the records themselves show."""
-    size, u = np.abs(found.parameters[0]), np.sqrt(np.diagonal(found.covariance[0]))
-    shown = (size > known.sd) & (u < _SHOWN * known.sd) & (np.arange(N_PARAMETERS) >= SENSES)
-    return Prior(known.mean, np.where(shown, size, known.sd))
-
-
 _SHOWN = 0.3
 """Share of its uncertainty beforehand that a drift has left where the records show it, whatever the bound says."""
 
@@ -424,7 +419,9 @@ def _result(
     said = widened(said, _OF_ALL * points.uneven)
     said = with_coupling(said, fit, records.scale_factor, failed=failed or differ, by_beats=coupling)
     us, fitted = np.sqrt(np.diagonal(covariance)), np.where([True, True, *FREE[chosen]], 1.0, np.nan)
-    at_least = _at_least(records, said.high)
+    rates = np.abs(records.rate[records.locked])
+    possible = rates[rates <= said.high]
+    at_least = float(possible.max()) if possible.size else 0.0
     scale_factor, scale_factor_u = scale_factor_of_rates(records.scale_factor, points, fit)
     values = fit.parameters[0] * fitted
     result = RatesFit(
@@ -526,13 +523,6 @@ def _gain_time_limit(fits: dict[Model, RatioFit], chosen: Model) -> float:
     if FREE[chosen][1] or fuller not in fits:
         return float("nan")
     return float(max(fits[fuller].parameters[0, 3], 0.0) + 1.96 * np.sqrt(fits[fuller].covariance[0, 3, 3]))
-
-
-def _at_least(records: RatioRecords, high: float) -> float:
-    """Fastest rate without a beat that is possible within the interval."""
-    rates = np.abs(records.rate[records.locked])
-    possible = rates[rates <= high]
-    return float(possible.max()) if possible.size else 0.0
 
 
 def _rates_differ(of: UsedRecords, said: RatesAnswer, mismatch: Floats, several: bool) -> tuple[float, bool]:

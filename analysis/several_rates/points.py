@@ -338,14 +338,9 @@ def place_in_run(count: int) -> Floats:
 
 
 def visits_of_rates(rate: Floats) -> Indices:
-    """First record of each visit of a rate, rising; what drifts differs between visits.
-
-    A long visit is cut in two, and with few settings or in one sense a shorter one is, so that it shows by itself
-    what drifts. Where the rates (n,) change all the time its quarters are the visits.
-
-    >>> visits_of_rates(np.repeat([3.0, 1.0, 3.0], [1, 8, 2]))
-    array([ 0,  1,  3,  5,  7,  9, 10])
-    """
+    """First record of each visit of a rate, rising; what drifts differs between visits."""
+    # A long visit is cut in two, and with few settings or in one sense a shorter one is, so that it shows by
+    # itself what drifts. Where the rates (n,) change all the time its quarters are the visits.
     groups = first_of_groups((np.abs(rate[some]) for some in in_blocks(rate.size)), SAME_RATE)
     changed, seen = [np.zeros(1, dtype=np.intp)], []
     for some in in_blocks(rate.size):
@@ -522,10 +517,8 @@ class Points:
         return int(np.unique(self.places.settings).size)
 
     def scatter(self, parameters: Floats) -> tuple[float, int]:
-        """Chi-square of the records about the means of their points, and its degrees of freedom.
-
-        What the model says of each record's own rate and amplitude is taken out first.
-        """
+        """Chi-square of the records about the means of their points, and its degrees of freedom."""
+        # What the model says of each record's own rate and amplitude is taken out first.
         mean, mean_third = self._left_of_means(parameters)
         chi_square, thirds_known = 0.0, np.zeros(len(self.places))
         for _, data, _ in self.records.data():
@@ -624,11 +617,7 @@ _NEAR, _LARGEST_SQUARE = 0.04, 0.99
 
 
 def first_of_groups(sizes: Iterable[Floats], share: float) -> Floats:
-    """Least value of each group, rising, where neighbours within a share of each other belong to one group.
-
-    >>> first_of_groups([np.array([1.0, 2.0]), np.array([2.01, 1.009, 1.018])], 0.01)
-    array([1., 2.])
-    """
+    """Least value of each group, rising, where neighbours within a share of each other belong to one group."""
     first, last = np.empty(0), np.empty(0)
     for some in sizes:
         # a group that was found before is a value that reaches up to its last

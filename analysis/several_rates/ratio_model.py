@@ -84,10 +84,9 @@ class RatioData:
 
 @dataclass(frozen=True)
 class Prior:
-    """What is known of the parameters beforehand: mean and standard deviation, (N_PARAMETERS,) each.
+    """What is known of the parameters beforehand: mean and standard deviation, (N_PARAMETERS,) each."""
 
-    inf: nothing; 0: the parameter stays where it is.
-    """
+    # inf: nothing; 0: the parameter stays where it is.
 
     mean: Floats
     sd: Floats

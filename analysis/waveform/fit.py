@@ -520,10 +520,8 @@ SMALLEST = 1e-4  # least uncertainty, -80 dBc: rounding to levels leaves that mu
 
 
 def third_harmonic(fit: WaveformFit, n_samples: int) -> tuple[Complexes, Floats]:
-    """Third harmonic beyond the waveform that was fitted, over the amplitude of the beat, of (R,) records.
-
-    Its phase is referred to three times that of the fundamental, so that the time origin does not enter.
-    """
+    """Third harmonic beyond the waveform that was fitted, over the amplitude of the beat, of (R,) records."""
+    # Its phase is referred to three times that of the fundamental, so that the time origin does not enter.
     series = fit.series
     with np.errstate(all="ignore"):  # records without a beat; they are blanked
         unit = series.first / np.abs(series.first)

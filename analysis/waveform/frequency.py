@@ -43,10 +43,9 @@ class SpectralStart:
 
 @dataclass(frozen=True)
 class Spectra:
-    """Spectra of centred records.
+    """Spectra of centred records."""
 
-    Single precision: they only start the fits, and eight-bit samples do not fill its 24 bits.
-    """
+    # Single precision: they only start the fits, and eight-bit samples do not fill its 24 bits.
 
     lines: NDArray[np.complex64]  # (R, N//2 + 1) complex64
     strongest: Indices  # (R,) bin of the strongest line beside the mean value
@@ -59,12 +58,10 @@ class Spectra:
         return Spectra(lines, _strongest(lines), values.shape[1])
 
     def start(self) -> SpectralStart:
-        """Frequency of the strongest line, its amplitude, and that at twice its frequency.
-
-        The strongest line is taken to be the fundamental, as it is above lock-in. The lines are read through the
-        Hann window (a convolution of three bins), whose low side lobes keep the mean value, the negative frequency
-        and the other harmonics away. A line and its neighbours have the same phase there.
-        """
+        """Frequency of the strongest line, its amplitude, and that at twice its frequency."""
+        # The strongest line is taken to be the fundamental, as it is above lock-in. The lines are read through the
+        # Hann window (a convolution of three bins), whose low side lobes keep the mean value, the negative
+        # frequency and the other harmonics away. A line and its neighbours have the same phase there.
         n = self.n_samples
         seen, bins = self._windowed(self.strongest)
         here = seen[:, 1]

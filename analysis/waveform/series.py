@@ -39,10 +39,9 @@ MANY_HARMONICS = 40  # beyond this many, the closed form on the samples is cheap
 
 @dataclass(frozen=True)
 class Series:
-    """Parameters of records, phases counted from the middle of the record.
+    """Parameters of records, phases counted from the middle of the record."""
 
-    offset (R,) real; first (R,) H; ratio (R,) q; omega (R,) rad per sample.
-    """
+    # offset (R,) real; first (R,) H; ratio (R,) q; omega (R,) rad per sample.
 
     offset: Floats
     first: Complexes
@@ -501,10 +500,8 @@ def phasors(omega: Floats, index: Floats, precision: np.dtype[Any]) -> Phasors:
 
 @cache
 def record_grid(n_samples: int) -> tuple[Floats, Floats]:
-    """Centred sample index as a sum of two short ones, m = outer[i] + inner[j] for sample n = L i + j.
-
-    L times the number of rows is at least n_samples: the surplus lies behind the record's end.
-    """
+    """Centred sample index as a sum of two short ones, m = outer[i] + inner[j] for sample n = L i + j."""
+    # L times the number of rows is at least n_samples: the surplus lies behind the record's end.
     length = math.isqrt(n_samples - 1) + 1
     rows = -(-n_samples // length)
     half = (length - 1) / 2

@@ -240,10 +240,9 @@ class Task:
 
 @dataclass(frozen=True)
 class SeriesFit:
-    """Fitted series, with the covariance (R, 6, 6) for unit noise and the residual power (R,) that go with it.
+    """Fitted series, with the covariance (R, 6, 6) for unit noise and the residual power (R,) that go with it."""
 
-    The order is c0, Re H, Im H, Re q, Im q, w (rad at the record's ends).
-    """
+    # The order is c0, Re H, Im H, Re q, Im q, w (rad at the record's ends).
 
     series: Series
     covariance: Floats

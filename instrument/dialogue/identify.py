@@ -184,11 +184,7 @@ def is_error(event: ScopeEvent) -> bool:
 
 
 def parse_events(answer: str) -> list[ScopeEvent]:
-    """Read the answer to ``ALLEv?``: ``<code>,"<text>; <command>"`` one after the other.
-
-    >>> [(e.code, e.text) for e in parse_events('401,"Power on; "')]
-    [(401, 'Power on')]
-    """
+    """Read the answer to ``ALLEv?``: ``<code>,"<text>; <command>"`` one after the other."""
     _, value = split_header(answer)
     words = split_parts(value, ",")
     if len(words) % 2:

@@ -152,11 +152,7 @@ def crc(
     reflect_out: bool = False,
     xor_out: int = 0,
 ) -> Checksum:
-    """A CRC by the parameters of the usual catalogue (R. N. Williams, "A painless guide to CRC", 1993).
-
-    >>> hex(crc(32, 0x04C11DB7, initial=0xFFFFFFFF).compute(b"123456789"))  # CRC-32/MPEG-2
-    '0x376e6e7'
-    """
+    """A CRC by the parameters of the usual catalogue (R. N. Williams, "A painless guide to CRC", 1993)."""
     step = _reflected_steps if reflect_in else _plain_steps
     compute = step(width, polynomial, initial)
     turn = reflect_in != reflect_out
@@ -584,11 +580,7 @@ _UNIT_WORDS = {
 
 
 def axis_column(axis: str) -> str:
-    """Name of the column with the output of one axis.
-
-    >>> axis_column("Z")
-    'counts_z'
-    """
+    """Name of the column with the output of one axis."""
     return f"{COUNTS}_{axis.lower()}"
 
 
@@ -599,11 +591,7 @@ def default_names(width: int) -> list[str]:
 
 
 def named_columns(header: Sequence[str]) -> tuple[list[str], list[str]]:
-    """Our names of the columns of a header, and the units that it gives ("" where it gives none).
-
-    >>> named_columns(["Time [ms]", "Gyro X (deg/h)", "T_C", "hot"])
-    (['time', 'counts_x', 'temperature', 'hot'], ['ms', 'deg/h', '', ''])
-    """
+    """Our names of the columns of a header, and the units that it gives ("" where it gives none)."""
     pairs = [_named(cell.strip()) for cell in header]
     return [name for name, _ in pairs], [unit for _, unit in pairs]
 

@@ -344,11 +344,5 @@ def poll_of(layout: FrameFormat) -> bytes:
 
 
 def line_of(layout: FrameFormat) -> str:
-    """How a format sets the port.
-
-    >>> from instrument.fibre_gyro import parse_frame_format
-    >>> fields = [{"name": "counts", "bytes": 4}]
-    >>> line_of(parse_frame_format({"kind": "binary", "output_rate_hz": 1, "header": "55", "fields": fields}))
-    '115200 baud 8N1'
-    """
+    """How a format sets the port."""
     return f"{layout.baud_rate} baud {layout.data_bits}{layout.parity}{layout.stop_bits}"

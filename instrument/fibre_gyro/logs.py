@@ -667,11 +667,7 @@ class LogClock:
 
 
 def clock_of_counter(counter: Floats) -> Places:
-    """Intervals since the first row by a counter, over its wraps; ValueError with the row where it stands still.
-
-    >>> clock_of_counter(np.array([126.0, 127.0, 0.0, 3.0])).tolist()
-    [0, 1, 2, 5]
-    """
+    """Intervals since the first row by a counter, over its wraps; ValueError at a row where it stands still."""
     numbers = np.round(counter).astype(np.int64)
     steps = np.diff(numbers)
     if np.any(steps < 0):

@@ -63,18 +63,7 @@ class VirtualClock:
 
 
 class HeldClock:
-    """Another clock that stands still while it is held: what one message asks for happens at one moment.
-
-    >>> real = VirtualClock()
-    >>> clock = HeldClock(real)
-    >>> clock.hold()
-    >>> real.sleep(1.0)
-    >>> clock.now()
-    0.0
-    >>> clock.release()
-    >>> clock.now()
-    1.0
-    """
+    """Another clock that stands still while it is held: what one message asks for happens at one moment."""
 
     def __init__(self, clock: Clock) -> None:
         self._clock = clock

@@ -59,10 +59,9 @@ class LineServer(StreamServer):
 
 
 class RateTableController:
-    """Answers lines: ``RATE 3.5`` sets deg/s, ``RATE?`` and ``POSITION?`` read, ``STOP`` stops.
+    """Answers lines: ``RATE 3.5`` sets deg/s, ``RATE?`` and ``POSITION?`` read, ``STOP`` stops."""
 
-    An order is answered by OK or by ERR and a reason, which ``ERROR?`` repeats.
-    """
+    # An order is answered by OK or by ERR and a reason, which ``ERROR?`` repeats.
 
     def __init__(self, table: SimulatedRateTable, name: str = "GYROLOCK RATE TABLE, SIM-1, 1.0") -> None:
         self._table, self._name = table, name

@@ -644,9 +644,6 @@ def settings_of(setup: str) -> dict[str, str]:
     """The settings of a setup by their whole command.
 
     A part without a leading colon continues the branch of the one before it.
-
-    >>> settings_of(":CH1:PROBE 10;SCALE 1.0E0;:LOCK NONE;:CURSOR:SELECT:SOURCE CH1")
-    {':CH1:PROBE': '10', ':CH1:SCALE': '1.0E0', ':CURSOR:SELECT:SOURCE': 'CH1'}
     """
     found: dict[str, str] = {}
     branch = ":"

@@ -197,7 +197,14 @@ def result(found: AllanEvaluation, run: SavedRun, settings: FogSettings) -> Resu
         _stability_line(first),
     )
     counts = not run.facts.simulated and any(one.by_design for one in found.records)
-    design = _by_design(settings) if counts else ""
+    design = (
+        (
+            f"The output is in counts; it was turned into deg/h by the scale factor by design, "
+            f"{settings.nominal_scale_factor:.6g} {COUNTS_PER_DPS}."
+        )
+        if counts
+        else ""
+    )
     watched = tuple(_to_watch(found))
     if design and not settings.gyro_is_described:
         watched = (*watched, f"{design} {_DESCRIBE}")
@@ -271,13 +278,6 @@ def _sentences(found: AllanEvaluation) -> list[str]:
             if one.fit.temperature_slope == one.fit.temperature_slope
         ),
     ]
-
-
-def _by_design(settings: FogSettings) -> str:
-    return (
-        f"The output is in counts; it was turned into deg/h by the scale factor by design, "
-        f"{settings.nominal_scale_factor:.6g} {COUNTS_PER_DPS}."
-    )
 
 
 def _to_watch(found: AllanEvaluation) -> list[str]:

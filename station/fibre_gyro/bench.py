@@ -17,8 +17,7 @@ from station.controllers import open_rate_table, open_surroundings
 from station.fibre_gyro.segments import FogBench, PlannedSegment
 from station.fibre_gyro.settings import FogSettings
 from station.fibre_gyro.sniff import read_frame_format
-from station.operator import ask_operator
-from station.terminal import remark
+from station.terminal import ask_operator, remark
 
 Ask = Callable[[str], str]
 

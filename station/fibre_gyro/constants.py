@@ -269,13 +269,8 @@ _PER_LINE = 4
 
 
 def vhdl_text(constants: Constants) -> str:
-    """Return a VHDL package.
-
-    The name of a package and of its constants holds what they are of.
-
-    >>> identifier("0.01"), identifier("-20"), identifier("Z axis")
-    ('0_01', 'm20', 'Z_axis')
-    """
+    """Return a VHDL package."""
+    # The name of a package and of its constants holds what they are of.
     name = f"gyro_{constants.kind}_{identifier(constants.axis)}".lower()
     lines = [*(f"-- {line}" for line in _about(constants)), "library ieee;", "use ieee.std_logic_1164.all;"]
     lines += ["use ieee.numeric_std.all;", "", f"package {name} is"]

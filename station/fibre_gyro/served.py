@@ -64,10 +64,9 @@ class ServedGyro:
 
 
 class SpokenAs:
-    """A served gyro whose outputs are named, and in the unit, as a frame format has them.
+    """A served gyro whose outputs are named, and in the unit, as a frame format has them."""
 
-    Of several outputs that of the table's last axis sees its rate, the others are gyros at rest.
-    """
+    # Of several outputs that of the table's last axis sees its rate, the others are gyros at rest.
 
     def __init__(self, gyro: ServedGyro, settings: FogSettings, layout: FrameFormat) -> None:
         self._gyro = gyro

@@ -33,7 +33,6 @@ from station.fibre_gyro.settings import FIBRE_GYRO, FogSettings, TestSettings
 from station.fibre_gyro.sniff import read_frame_format
 from station.live.preview import Preview, PreviewTrace, PreviewValue, See, trace_of, waveform_of
 from station.measurements import Measurement
-from station.operator import ask_operator
 from station.report.figure import ACCENT, INK, SECOND, SOFT, WIDE, legend_above, svg_element
 from station.results.numbers import TWO_PI_ERROR_PPM, TWO_PI_VOLTAGE
 from station.results.quantity import Quantity, QuantityGroup, document
@@ -52,6 +51,7 @@ from station.runs.store import NewRecord, SavedRun
 from station.scope.autoset import KnobPositions, ScreenShape, fit_channel, oscilloscope_steps
 from station.scope.tools import open_scope, serve
 from station.settings import Finite, NotNegative
+from station.terminal import ask_operator
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

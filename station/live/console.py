@@ -56,11 +56,7 @@ class PlainLines:
 
 
 def duration(seconds: float) -> str:
-    """Write a time as a person says it.
-
-    >>> duration(12.4), duration(200), duration(9000)
-    ('12 s', '3 min 20 s', '2 h 30 min')
-    """
+    """Write a time as a person says it."""
     whole = max(0, round(seconds))
     if whole < 60:
         return f"{whole} s"

@@ -153,10 +153,9 @@ def state_directory() -> Path:
 
 
 class StatusFile:
-    """Reads events and keeps ``HOST-PID.json`` up to date; where it cannot be written, there is none.
+    """Reads events and keeps ``HOST-PID.json`` up to date; where it cannot be written, there is none."""
 
-    ``HOST-PID.stop`` beside it ends the program, as SIGTERM does.
-    """
+    # ``HOST-PID.stop`` beside it ends the program, as SIGTERM does.
 
     def __init__(self, directory: Path | None = None) -> None:
         self.situation = Situation()

@@ -355,11 +355,7 @@ class RunRecords(Sequence[Record]):
 
 
 def html_table(caption: str, rows: Rows) -> str:
-    """Return names and values as a table of HTML.
-
-    >>> html_table("run", [("unit", "<7>")])
-    '<table><caption>run</caption><tr><th>unit</th><td>&lt;7&gt;</td></tr></table>'
-    """
+    """Return names and values as a table of HTML."""
     cells = "".join(f"<tr><th>{escape(name)}</th><td>{escape(value)}</td></tr>" for name, value in rows)
     return f"<table><caption>{escape(caption)}</caption>{cells}</table>"
 

@@ -10,13 +10,13 @@ from analysis.rotation import EARTH_RATE_DPS
 from instrument import FoundPanel, Identity, InstrumentError, ManualRateTable, RateTable
 from station.controllers import open_rate_table, open_surroundings
 from station.errors import StationError, one_line
-from station.operator import check_terminal, operator_table
 from station.results.result import Check
 from station.ring_laser.records import Bench, set_up, take_record
 from station.ring_laser.settings import BenchSettings
 from station.runs.acquisition import Acquisition
 from station.scope.autoset import ScreenShape, find_beat
 from station.scope.tools import open_scope
+from station.terminal import check_terminal, operator_table
 
 
 @contextmanager

@@ -40,10 +40,9 @@ _TURN_POINTS = 181
 
 
 class TurningTable(SimulatedRateTable):
-    """The simulated rate table of the bench: it comes back from a new rate when it turns steadily.
+    """The simulated rate table of the bench: it comes back from a new rate when it turns steadily."""
 
-    ``when_steady``, if it is set, is called with the new piece of motion then.
-    """
+    # ``when_steady``, if it is set, is called with the new piece of motion then.
 
     when_steady: Callable[[TableMotion], None] | None = None
 

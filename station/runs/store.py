@@ -79,6 +79,7 @@ class SavedRun:
     unusable: Mapping[str, str] = field(default_factory=dict)
     protected: bool = True  # whether damage to a fact would show: an earlier version kept no sums of them
     damaged: tuple[str, ...] = ()  # what of the run is not what was once saved, one sentence each
+    excluded: tuple[int, ...] = ()  # numbers of records that were left out as asked
 
     @property
     def whole(self) -> Self:
@@ -92,10 +93,9 @@ class SavedRun:
 
 @dataclass(frozen=True)
 class NewRecord:
-    """A record that is to be saved; the fields as in :class:`SavedRecord`, the conditions plain JSON.
+    """A record that is to be saved; the fields as in :class:`SavedRecord`, the conditions plain JSON."""
 
-    Without `taken_at` it is taken now.
-    """
+    # Without `taken_at` it is taken now.
 
     key: str
     purpose: str
@@ -110,10 +110,9 @@ Acknowledge = Callable[[Path, Sequence[tuple[int, "NewRecord"]]], None]
 
 
 class RunWriter(DatabaseWriter):
-    """Writes one run. Records that :meth:`save_records` returned for survives a killed process.
+    """Writes one run. Records that :meth:`save_records` returned for survives a killed process."""
 
-    Use :meth:`create`, or the class itself for a run that is gone on with.
-    """
+    # Use :meth:`create`, or the class itself for a run that is gone on with.
 
     acknowledge: Acknowledge | None = None  # is told of records when they are on the disk
 

@@ -180,13 +180,7 @@ class ShownSignal:
 
 
 def parse_signal(text: str) -> ShownSignal:
-    """Read `[CHn=]gyro`, `[CHn=]sine[:Hz[:V[:offset V]]]`, the same with `square`, or `[CHn=]FILE`.
-
-    >>> parse_signal("CH2=sine:50:0.5").signal(np.array([0.005])).round(6).tolist()
-    [0.5]
-    >>> parse_signal("gyro")
-    ShownSignal(channel=1, signal=None)
-    """
+    """Read `[CHn=]gyro`, `[CHn=]sine[:Hz[:V[:offset V]]]`, the same with `square`, or `[CHn=]FILE`."""
     before, equals, after = text.partition("=")
     name = before.upper() if equals else "CH1"
     what = after if equals else text
@@ -255,11 +249,7 @@ _DEFAULT_CHANCE = 0.01
 
 
 def parse_fault(text: str) -> Fault:
-    """Read `KIND`, `KIND:CHANCE` or `knob turned:CHANCE:COMMAND`; without a chance, one answer in a hundred.
-
-    >>> parse_fault("cut answer:0.05").probability
-    0.05
-    """
+    """Read `KIND`, `KIND:CHANCE` or `knob turned:CHANCE:COMMAND`; without a chance, one answer in a hundred."""
     kind, _, rest = text.partition(":")
     chance, _, command = rest.partition(":")
     if kind not in KINDS:

@@ -93,6 +93,8 @@ class Evaluated:
         }
         if self.run.damaged:
             document["damaged"] = self.run.damaged
+        if self.run.excluded:
+            document["excluded"] = self.run.excluded
         if facts.truth is not None:
             document["truth"] = facts.truth
         return dict(plain(document))
@@ -186,10 +188,12 @@ def evaluate_saved(
     run = read_as_needed(open_source(path))
     if exclude:
         records = whole(source_of(run)).records
-        run = replace(run, records=tuple(one for one in records if not any(one.number in out for out in exclude)))
-        if len(run.records) == len(records):
+        out = {one.number for one in records if any(one.number in numbers for numbers in exclude)}
+        if not out:
             raise UsageError(f"{path}: --exclude names none of its {len(records)} records")
-        remark(f"{path}: {len(records) - len(run.records)} of {len(records)} records left out as asked")
+        kept = tuple(one for one in records if one.number not in out)
+        run = replace(run, records=kept, excluded=tuple(sorted(out)))
+        remark(f"{path}: {len(out)} of {len(records)} records left out as asked")
     return evaluate_run(run, workers, progress, config=config, choices=choices)
 
 

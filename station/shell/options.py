@@ -187,11 +187,7 @@ def run_options(function: F) -> F:
 
 
 def overrides(given: Mapping[str, Any], places: Mapping[str, str]) -> dict[str, dict[str, object]]:
-    """Turn options of the command line into settings; what was not given is left out.
-
-    >>> overrides({"seed": 3, "channel": None}, {"seed": "simulation.seed", "channel": "scope.channel"})
-    {'simulation': {'seed': 3}}
-    """
+    """Turn options of the command line into settings; what was not given is left out."""
     chosen: dict[str, dict[str, object]] = {}
     for name, place in places.items():
         if (value := given.get(name)) is not None:

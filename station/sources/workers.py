@@ -105,10 +105,9 @@ _SAME = ("gyrolock", "numpy", "scipy")
 
 
 class Cluster:
-    """Workers that a Dask scheduler has, to be used as a context.
+    """Workers that a Dask scheduler has, to be used as a context."""
 
-    A worker that is lost costs time only: what it had begun, or held, is done again by another.
-    """
+    # A worker that is lost costs time only: what it had begun, or held, is done again by another.
 
     def __init__(self, address: str, workers: int | None = None) -> None:
         self.address, self._wanted = address, workers

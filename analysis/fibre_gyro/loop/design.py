@@ -229,13 +229,7 @@ _RANGES = (
 
 
 class OutputClock:
-    """Time and sample pairs since the start of a gyro.
-
-    >>> clock = OutputClock(FibreCoil())
-    >>> ends, pairs = clock.next_outputs(3, 0.01)
-    >>> ends.tolist(), pairs.tolist()
-    ([0.01, 0.02, 0.03], [1021, 1021, 1021])
-    """
+    """Time and sample pairs since the start of a gyro."""
 
     def __init__(self, coil: FibreCoil) -> None:
         self.pair_time = 2.0 * coil.transit_time

@@ -164,14 +164,7 @@ class _Loops:
 
 
 def cosine_of_turns(turns: Floats, out: Floats, u: Floats, w: Floats) -> None:
-    """cos(2 pi t) to 1e-13 into `out`, by the same operations as the scalar kernel; `u` and `w` are scratch.
-
-    >>> turns = np.array([0.0, 0.125, 0.5, -3.25])
-    >>> result, u, w = np.empty((3, 4))
-    >>> cosine_of_turns(turns, result, u, w)
-    >>> result.round(12).tolist()
-    [1.0, 0.707106781187, -1.0, 0.0]
-    """
+    """cos(2 pi t) to 1e-13 into `out`, by the same operations as the scalar kernel; `u` and `w` are scratch."""
     np.rint(turns, out=w)
     np.subtract(turns, w, out=u)
     np.abs(u, out=u)

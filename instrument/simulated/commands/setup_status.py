@@ -213,11 +213,7 @@ _OUT_OF_RANGE = 200  # *SRE and its like out of range: an execution error, p. 2-
 
 
 def tek_identity(identity: str) -> str:
-    """The older `ID?` form of an answer to `*IDN?`, p. 2-142.
-
-    >>> tek_identity("TEKTRONIX,TDS 2014,0,CF:91.1CT FV:v4.12 TDS2CM:CMV:v1.04")
-    'ID TEK/TDS 2014,CF:91.1CT,FV:v4.12 TDS2CM:CMV:v1.04'
-    """
+    """The older `ID?` form of an answer to `*IDN?`, p. 2-142."""
     _, model, _, rest = (*identity.split(",", 3), "", "", "")[:4]
     return f"ID TEK/{model},{rest.replace(' ', ',', 1)}"
 

@@ -77,10 +77,9 @@ Condition = Callable[[ScopeState], bool]
 
 @dataclass(frozen=True)
 class Action:
-    """What a header does: `query` answers, `order` acts, and both wait while `waits` is true.
+    """What a header does: `query` answers, `order` acts, and both wait while `waits` is true."""
 
-    An order that carries out a message of its own returns its steps, as `ScopeState.execute` gives them.
-    """
+    # An order that carries out a message of its own returns its steps, as `ScopeState.execute` gives them.
 
     query: Query | None = None
     order: Order | None = None

@@ -170,13 +170,8 @@ def _slow_part_on_grid(signal: Signal, times: Floats, rate: float) -> Floats:
 
 
 def smoothed(values: Floats, gain: float, first: float) -> Floats:
-    """The recursion y[n] = y[n-1] + gain (x[n] - y[n-1]), begun at y[-1] = first.
-
-    In a block, y[n] / (1 - gain)**n is a running sum; a block is as long as the powers stay within e**20.
-
-    >>> smoothed(np.array([1.0, 1.0, 0.0]), 0.5, 0.0).tolist()
-    [0.5, 0.75, 0.375]
-    """
+    """The recursion y[n] = y[n-1] + gain (x[n] - y[n-1]), begun at y[-1] = first."""
+    # In a block, y[n] / (1 - gain)**n is a running sum; a block is as long as the powers stay within e**20.
     length = max(1, min(len(values), int(-20 / math.log1p(-gain))))
     powers = (1 - gain) ** np.arange(1, length + 1, dtype=np.float64)
     result = np.empty_like(values)
@@ -189,12 +184,7 @@ def smoothed(values: Floats, gain: float, first: float) -> Floats:
 
 
 def convert(volts: Floats, channel: PanelChannel, noise: Floats | float = 0.0) -> Codes:
-    """Codes of the converter: 25 levels a division around the centre, rounded, clipped at +-127.
-
-    >>> channel = PanelChannel(0.5, 1.0, "DC", 1.0, limited=False, inverted=False)
-    >>> convert(np.array([0.0, 0.5, 9.0, -9.0]), channel).tolist()
-    [25, 50, 127, -127]
-    """
+    """Codes of the converter: 25 levels a division around the centre, rounded, clipped at +-127."""
     levels = volts * levels_per_volt(channel) + LEVELS_PER_DIVISION * channel.position
     levels += noise
     np.rint(levels, out=levels)

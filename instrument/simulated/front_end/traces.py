@@ -229,11 +229,7 @@ def multiply(first: Trace, second: Trace, scale: float, position: float) -> Trac
 
 
 def visible_part(horizontal_zoom: float, position: float) -> slice:
-    """The points of a spectrum that the screen shows: zoomed about a position in percent of the whole.
-
-    >>> visible_part(1, 50), visible_part(2, 50), visible_part(10, 0)
-    (slice(0, 1024, None), slice(256, 768, None), slice(0, 102, None))
-    """
+    """The points of a spectrum that the screen shows: zoomed about a position in percent of the whole."""
     width = int(FFT_POINTS / horizontal_zoom)
     first = round(FFT_POINTS * position / 100 - width / 2)
     first = min(max(first, 0), FFT_POINTS - width)
@@ -241,11 +237,9 @@ def visible_part(horizontal_zoom: float, position: float) -> slice:
 
 
 def spectrum(expression: str, source: Trace, zoom: float, position: float, horizontal_zoom: float = 1.0) -> Trace:
-    """Levels in dB (0 dB = 1 V rms) at 1024 frequencies, from the centre 2048 points of the record.
-
-    The horizontal zoom changes what the screen shows and the Hz/div of the description; the data stay the whole
-    spectrum (a guess: the manual calls it a display zoom, p. 2-150).
-    """
+    """Levels in dB (0 dB = 1 V rms) at 1024 frequencies, from the centre 2048 points of the record."""
+    # The horizontal zoom changes what the screen shows and the Hz/div of the description; the data stay the whole
+    # spectrum (a guess: the manual calls it a display zoom, p. 2-150).
     volts = (source.codes.astype(np.float64) - source.yoff) * source.ymult
     start = (len(volts) - FFT_SAMPLES) // 2
     window = fft_window(expression)
@@ -397,12 +391,7 @@ def phase(first: Trace, second: Trace) -> float:
 
 
 def middle_crossings(volts: Floats) -> Edges:
-    """Crossings of the middle in samples, with a hysteresis of a tenth of the height.
-
-    >>> edges = middle_crossings(np.array([0.0, 0.0, 1.0, 1.0, 0.0, 0.0]))
-    >>> edges.times.tolist(), edges.rising.tolist()
-    ([1.5, 3.5], [True, False])
-    """
+    """Crossings of the middle in samples, with a hysteresis of a tenth of the height."""
     low, high = float(volts.min()), float(volts.max())
     middle, margin = (low + high) / 2, (high - low) / 10
     side = np.where(volts > middle + margin, 1, np.where(volts < middle - margin, -1, 0))

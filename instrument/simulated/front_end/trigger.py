@@ -144,10 +144,9 @@ class Comparator:
         return seen is None or not seen.times[0] <= start < seen.times[-1] - SHORTEST_STRETCH
 
     def stretch(self, start: float, until: float, now: float, most: int) -> SignalStretch:
-        """What is seen from `start` to `now`, or not so far; the last one again if it holds the start.
-
-        Up to `until` looks between which the signal is smooth are known to do. A new one has `most` cells at most.
-        """
+        """What is seen from `start` to `now`, or not so far; the last one again if it holds the start."""
+        # Up to `until` looks between which the signal is smooth are known to do. A new one has `most` cells at
+        # most.
         seen = self._seen
         if seen is None or self.has_to_look(start):
             end, interval = now, self._interval(start, now)

@@ -184,10 +184,8 @@ class TriggerCircuit:
         return edge
 
     def edges(self, ready: Floats, reach: float, trigger: TriggerSettings) -> Floats:
-        """Times of the triggers of several acquisitions that are not yet looked for, by when they were ready.
-
-        nan where none is found within some `reach` (s), or where only `edge` finds it.
-        """
+        """Times of the triggers of several acquisitions that are not yet looked for, by when they were ready."""
+        # nan where none is found within some `reach` (s), or where only `edge` finds it.
         if trigger.kind != "EDGE":
             return np.full(ready.shape, np.nan)
         search = self._edge_search(TimeSweep(0.0, 0.0, math.inf), trigger)

@@ -467,11 +467,7 @@ class HislipFrame:
     too_large: bool = False  # it announced a longer payload than is taken; that was thrown away
 
     def encoded(self) -> bytes:
-        """The bytes that travel.
-
-        >>> HislipFrame(MessageType.DATA_END, 0, 0xFFFFFF00, b"*IDN?").encoded().hex(" ", -4)
-        '48530700 ffffff00 00000000 00000005 2a49444e 3f'
-        """
+        """The bytes that travel."""
         header = _HEADER.pack(_PROLOGUE, self.kind, self.control, self.parameter, len(self.payload))
         return header + self.payload
 
@@ -542,14 +538,7 @@ class _Request:
 
 
 class Locks:
-    """The locks of one instrument. Clients are anything hashable; the empty key asks for the exclusive lock.
-
-    >>> locks = Locks()
-    >>> locks.request("a", b"", 0.0), locks.request("b", b"", 10.0), locks.may_talk("b")
-    (<LockAnswer.EXCLUSIVE: 1>, None, False)
-    >>> locks.release("a"), locks.settle(1.0), locks.may_talk("a")
-    (<LockAnswer.EXCLUSIVE: 1>, [('b', <LockAnswer.EXCLUSIVE: 1>)], False)
-    """
+    """The locks of one instrument. Clients are anything hashable; the empty key asks for the exclusive lock."""
 
     def __init__(self) -> None:
         self._exclusive: Hashable | None = None

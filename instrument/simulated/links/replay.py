@@ -9,11 +9,10 @@ from instrument.text_files import TranscriptExchange
 
 
 class ReplayServer(StreamServer):
-    """Answers on a TCP port as the transcript says.
+    """Answers on a TCP port as the transcript says."""
 
-    A message is looked for among those that have not been asked yet, in their order; asked more often than it was
-    then, it gets the last answer again. A message that the transcript does not have gets none.
-    """
+    # A message is looked for among those that have not been asked yet, in their order; asked more often than it
+    # was then, it gets the last answer again. A message that the transcript does not have gets none.
 
     def __init__(self, exchanges: Sequence[TranscriptExchange], host: str = "127.0.0.1", port: int = 0) -> None:
         super().__init__()

@@ -179,11 +179,7 @@ PON, URQ, CME, EXE, DDE, QYE, RQC, OPC = 128, 64, 32, 16, 8, 4, 2, 1
 
 
 def status_bit(code: int) -> int:
-    """Bit of the standard event status register that an event sets; 0 for those that set none, pp. 3-10 ff.
-
-    >>> status_bit(113) == CME, status_bit(2244) == EXE, status_bit(420) == QYE, status_bit(350)
-    (True, True, True, 0)
-    """
+    """Bit of the standard event status register that an event sets; 0 for those that set none, pp. 3-10 ff."""
     special = {401: PON, 402: OPC, 403: URQ, 404: DDE, 405: RQC, 400: QYE, 350: 0}
     if code in special:
         return special[code]
@@ -211,11 +207,10 @@ TEXT_LENGTH = 60  # message and command together, p. 2-110
 
 
 class Status:
-    """The standard event status register, its masks and the event queue.
+    """The standard event status register, its masks and the event queue."""
 
-    Events wait in the queue until `*ESR?` is read; only then `EVENT?`, `EVMsg?` and `ALLEv?` give them out,
-    and the next `*ESR?` drops what was not fetched.
-    """
+    # Events wait in the queue until `*ESR?` is read; only then `EVENT?`, `EVMsg?` and `ALLEv?` give them out, and
+    # the next `*ESR?` drops what was not fetched.
 
     def __init__(self) -> None:
         self.esr_mask = 0  # *ESE
@@ -280,11 +275,7 @@ class Status:
 
 
 def event_text(code: int, command: str = "") -> str:
-    """Text of an event with the offending command; a long command loses its beginning.
-
-    >>> event_text(401), event_text(113, "FOO?")
-    ('Power on; ', 'Undefined header; FOO?')
-    """
+    """Text of an event with the offending command; a long command loses its beginning."""
     text = TEXTS[code] + "; "
     if not command or status_bit(code) != CME:
         return text

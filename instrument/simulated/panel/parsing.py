@@ -76,12 +76,7 @@ def block_end(data: bytes, start: int, *, final: bool) -> int | None:
 
 
 class StreamSplitter:
-    r"""Cuts a stream of bytes into program messages at LF or CR, but not inside a block.
-
-    >>> splitter = StreamSplitter()
-    >>> splitter.feed(b"*IDN?\r\nCURVE #13"), splitter.feed(b"\n\n\n\n")
-    ([b'*IDN?'], [b'CURVE #13\n\n\n'])
-    """
+    """Cuts a stream of bytes into program messages at LF or CR, but not inside a block."""
 
     def __init__(self) -> None:
         self._buffer = b""
@@ -120,13 +115,8 @@ class StreamSplitter:
 
 
 def parse_message(message: bytes, *, stream: bool = False) -> tuple[Command | Malformed, ...]:
-    """Split one program message at its semicolons and read each command.
-
-    On a stream nothing marks the end of an indefinite block, so it is refused there (event 161, p. 2-13).
-
-    >>> [c.header for c in parse_message(b" data:source ch1 ; width 1;; :CH1:SCALE? ")]
-    ['data:source', 'width', ':CH1:SCALE']
-    """
+    """Split one program message at its semicolons and read each command."""
+    # On a stream nothing marks the end of an indefinite block, so it is refused there (event 161, p. 2-13).
     # a long one carries a record and does not come again: remembered ones must not fill the memory
     return _remembered(message, stream) if len(message) <= _SHORT else _parsed(message, stream)
 
@@ -226,13 +216,8 @@ Leaf = tuple[Mnemonics, str]  # header and value of one setting; a `*` query has
 
 
 def nr3(value: float, digits: int = 7) -> str:
-    """Write a number in the NR3 form of this family.
-
-    One digit, a point, at least one more digit, and an exponent without plus sign or leading zeros.
-
-    >>> nr3(0), nr3(5e-4), nr3(1), nr3(-11008), nr3(3.852921)
-    ('0.0E0', '5.0E-4', '1.0E0', '-1.1008E4', '3.852921E0')
-    """
+    """Write a number in the NR3 form of this family."""
+    # One digit, a point, at least one more digit, and an exponent without plus sign or leading zeros.
     if value == 0:
         return "0.0E0"
     if not math.isfinite(value):
@@ -254,36 +239,20 @@ def quoted(text: str) -> str:
 
 
 def block(data: bytes) -> bytes:
-    """Wrap bytes as a definite-length block, p. 2-13.
-
-    Examples
-    --------
-    >>> block(b"abc")
-    b'#13abc'
-    """
+    """Wrap bytes as a definite-length block, p. 2-13."""
     length = str(len(data))
     return f"#{len(length)}{length}".encode() + data
 
 
 def spell(mnemonic: str, verbose: bool) -> str:
-    """Long or short form of a mnemonic spelled as in the manual (`ACQuire`).
-
-    >>> spell("ACQuire", True), spell("ACQuire", False), spell("BYT_Nr", False)
-    ('ACQUIRE', 'ACQ', 'BYT_N')
-    """
+    """Long or short form of a mnemonic spelled as in the manual (`ACQuire`)."""
     if verbose:
         return mnemonic.upper()
     return "".join(c for c in mnemonic if not c.islower())
 
 
 def abbreviations(mnemonic: str) -> list[str]:
-    """Every accepted spelling from the short to the long form, in capitals; a trailing digit stays.
-
-    >>> abbreviations("COUPling")
-    ['COUP', 'COUPL', 'COUPLI', 'COUPLIN', 'COUPLING']
-    >>> abbreviations("MEAS1"), abbreviations("SOUrce1")
-    (['MEAS1'], ['SOU1', 'SOUR1', 'SOURC1', 'SOURCE1'])
-    """
+    """Every accepted spelling from the short to the long form, in capitals; a trailing digit stays."""
     letters = mnemonic.rstrip("0123456789")
     digits = mnemonic[len(letters) :]
     if not any(c.islower() for c in letters):
@@ -293,18 +262,9 @@ def abbreviations(mnemonic: str) -> list[str]:
 
 
 def join_leaves(leaves: Iterable[Leaf], *, header: bool, verbose: bool) -> str:
-    """Write several settings as one answer.
-
-    The first leaf carries its full path. A leaf below the branch of the one before it is written relative to
-    that branch, any other with `:` and its full path.
-
-    >>> leaves = [(("HORizontal", "VIEW"), "MAIN"), (("HORizontal", "MAIn", "SCAle"), "5.0E-4"),
-    ...           (("HORizontal", "MAIn", "POSition"), "0.0E0"), (("HORizontal", "DELay", "SCAle"), "5.0E-5")]
-    >>> join_leaves(leaves, header=True, verbose=True)
-    ':HORIZONTAL:VIEW MAIN;MAIN:SCALE 5.0E-4;POSITION 0.0E0;:HORIZONTAL:DELAY:SCALE 5.0E-5'
-    >>> join_leaves(leaves, header=False, verbose=True)
-    'MAIN;5.0E-4;0.0E0;5.0E-5'
-    """
+    """Write several settings as one answer."""
+    # The first leaf carries its full path. A leaf below the branch of the one before it is written relative to
+    # that branch, any other with `:` and its full path.
     if not header:
         return ";".join(value for _, value in leaves)
     parts = []

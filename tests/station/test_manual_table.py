@@ -18,7 +18,6 @@ from station.dead_band.take import take_on as sweep_on
 from station.errors import UsageError
 from station.lock_in.settings import load_settings
 from station.lock_in.take import take_on
-from station.operator import operator_table
 from station.ring_laser.instruments import SimulatedInstruments, build_instruments
 from station.ring_laser.records import Bench
 from station.runs.acquisition import Acquisition, facts_of, take
@@ -26,6 +25,7 @@ from station.runs.progress import Progress
 from station.runs.store import SavedRun, open_run
 from station.scope.tools import open_scope, serve
 from station.settings import load
+from station.terminal import operator_table
 from tests.ideal_bench import ideal_bench
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="needs a pseudo-terminal for the operator")

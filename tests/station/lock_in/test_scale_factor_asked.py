@@ -9,7 +9,7 @@ import pytest
 from station.cli import main
 from station.errors import UsageError
 from station.lock_in.settings import check_scale_factor, load_settings
-from station.operator import ask_number
+from station.terminal import ask_number
 
 
 class Terminal(io.StringIO):

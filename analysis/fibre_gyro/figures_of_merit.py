@@ -156,7 +156,6 @@ class ResidualPattern:
     near_zero_ppm: float
     odd_p: float  # nan where there are too few points to tell
     even_p: float
-    near_zero_p: float
     # what is significant (p below 0.001), of "odd", "even", "near zero". "scatter" where the outputs lie off by
     # more than their noise, but neither a curve explains it nor one of the two parts stands out.
     names: tuple[str, ...]
@@ -207,7 +206,6 @@ def residual_pattern(
         near_ppm,
         odd_p,
         even_p,
-        near_p,
         tuple(names),
     )
 

@@ -19,6 +19,7 @@ from station.controllers import ControllerSettings, ControllersSettings, open_ch
 from station.errors import RunError
 from station.measurements import measurement
 from station.results.result import Check
+from station.results.verdict import limit_words
 from station.runs.progress import Progress
 
 CONTROLLER_OF = {"temperature_degc": ("chamber", "temperature"), "voltage_v": ("power_supply", "voltage")}
@@ -107,32 +108,52 @@ def _named(settings: Mapping[str, Any]) -> Iterator[str]:
 
 
 _SOON_DAYS = 30
-_RECORD_BYTES = 20_000  # of a record with its conditions in the store, at most
+_FAR = 20.0  # times what is expected
 
-_SPARE_BYTES = 200 * 2**20
-_RECORDS_OF_A_STEP = 1000
+_SPARE_BYTES = 50 * 2**20
+_STEP_BYTES = 20 * 2**20  # 1000 records with their conditions and a page, at most
 _EARLIEST = datetime(2025, 1, 1, tzinfo=UTC)
 
 
 def examine_campaign(plan: CampaignPlan) -> list[Check]:
     """Look at everything that a campaign will need, in the order in which a person would."""
     summary = f"{plan.file}: {len(plan.steps)} steps, {sum(len(step.limits) for step in plan.steps)} limits"
-    checks = [Check("campaign", "ok", summary), _disk(plan), *_clock(plan), *_calibrations(plan.instruments)]
+    far = (Check("limits", "note", text) for text in far_limits(plan))
+    checks = [Check("campaign", "ok", summary), *far, disk_space(plan), *_clock(plan)]
+    today = datetime.now(UTC).date()
+    checks += [_calibration(card, today) for card in plan.instruments]
     looked: list[Check] = []
     for found in _benches(plan):
         looked += found
     return [*checks, *looked, *_identities(plan.instruments, looked), *_unfinished(plan)]
 
 
-def _disk(plan: CampaignPlan) -> Check:
+def far_limits(plan: CampaignPlan) -> Iterator[str]:
+    """Say which limits no unit can miss, or none can keep to: far beyond what the settings expect."""
+    for step in plan.steps:
+        kind = measurement(step.measurement)
+        settings = kind.kind.model.model_validate(dict(step.settings))
+        declared = (one for group in kind.quantities for one in group.quantities)
+        expected = {one.limit_name: one.expected_by(settings) for one in declared if one.limit_name}
+        for limit in step.limits:
+            about = None if limit.relation else expected.get(limit.number)
+            high, low = limit.at_most, limit.at_least
+            if about and ((high and not 1 / _FAR <= high / about <= _FAR) or (low and low / about > _FAR)):
+                end = f"{limit_words(limit, '')}, {about:g} is expected"
+                yield f"{step.key}: {limit.number} {end}: is it in another unit, or a slip of the comma?"
+
+
+def disk_space(plan: CampaignPlan) -> Check:
+    """Look whether a test has room; before its first step, not after hours."""
     directory = plan.directory.absolute()
     existing = next(folder for folder in (directory, *directory.parents) if folder.exists())
     if not os.access(existing, os.W_OK):
         return Check("disk", "bad", f"{directory} cannot be written: choose another output.directory")
-    free, needed = shutil.disk_usage(existing).free, _SPARE_BYTES
-    needed += len(plan.steps) * _RECORDS_OF_A_STEP * _RECORD_BYTES
-    text = f"{free / 2**30:.1f} GiB free for {directory}, a test takes {needed / 2**30:.2g} GiB at most"
-    return Check("disk", "ok", text) if free > needed else Check("disk", "bad", f"{text}: make room")
+    free, needed = shutil.disk_usage(existing).free, len(plan.steps) * _STEP_BYTES
+    text = f"{free / 2**20:.0f} MB free for {directory}, a test takes {needed / 2**20:.0f} MB at most"
+    return (
+        Check("disk", "ok", text) if free > needed + _SPARE_BYTES else Check("disk", "bad", f"{text}: make room")
+    )
 
 
 def _clock(plan: CampaignPlan) -> Iterator[Check]:
@@ -150,12 +171,6 @@ def _clock(plan: CampaignPlan) -> Iterator[Check]:
         )
     else:
         yield Check("clock", "ok", f"{now:%Y-%m-%d %H:%M:%S} UTC: compare it with your watch")
-
-
-def _calibrations(cards: tuple[InstrumentCard, ...]) -> Iterator[Check]:
-    today = datetime.now(UTC).date()
-    for card in cards:
-        yield _calibration(card, today)
 
 
 def _calibration(card: InstrumentCard, today: date) -> Check:

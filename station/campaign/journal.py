@@ -13,7 +13,7 @@ import os
 import re
 import time
 import zlib
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, field
 from datetime import date
@@ -408,34 +408,23 @@ _KEPT = ("verdict", "run_sha256", "remarks", "started_at", "ended_at", "elapsed_
 
 def _step_from_json(line: Mapping[str, Any], step: PlannedStep, directory: Path) -> StepOutcome:
     run = None if line["run"] is None else directory / line["run"]
+    document: dict[str, Any] = {}
+    with suppress(RunError):
+        document = (open_run(run).results or {}) if run else {}
+    limits = []
+    for one in line["limits"]:
+        margin, limit = math.nan if one["margin"] is None else one["margin"], Limit(**one["limit"])
+        measured = Value.from_json({"name": limit.number, **one["measured"]})
+        limits.append(LimitOutcome(**{**one, "limit": limit, "measured": measured, "margin": margin}))
     kept = {name: line[name] for name in _KEPT}
     return StepOutcome(
         step=step,
         **{**kept, "remarks": tuple(kept["remarks"])},
-        limits=tuple(_limit_from_json(one) for one in line["limits"]),
-        document=_document(run),
+        limits=tuple(limits),
+        document=document,
         run=run,
         failure=None if line["failure"] is None else Failure(**line["failure"]),
     )
-
-
-def _document(run: Path | None) -> dict[str, Any]:
-    if run is None:
-        return {}
-    try:
-        return open_run(run).results or {}
-    except RunError:
-        return {}
-
-
-def _limit_from_json(one: Mapping[str, Any]) -> LimitOutcome:
-    margin = math.nan if one["margin"] is None else one["margin"]
-    known = {
-        "limit": Limit(**one["limit"]),
-        "measured": Value.from_json({"name": one["limit"]["number"], **one["measured"]}),
-        "margin": margin,
-    }
-    return LimitOutcome(**{**one, **known})
 
 
 # --------------------
@@ -448,24 +437,8 @@ _LOGS_KEPT = 9  # files before the one that is written
 _NOT_TOLD = frozenset({"counted", "record", "value"})
 
 
-class StationLog:
-    """Reads events and writes lines; a disk that takes none harms nothing."""
-
-    def __init__(self, handler: logging.Handler) -> None:
-        self._handler = handler
-
-    def __call__(self, event: Event) -> None:
-        """Write an event."""
-        if event.kind in _NOT_TOLD:
-            return
-        told = event.facts.get("text") if event.kind == "note" else json.dumps(dict(event.facts))
-        record = logging.LogRecord("gyrolock", logging.INFO, "", 0, f"{event.kind}: {told}", None, None)
-        with suppress(OSError, ValueError):
-            self._handler.emit(record)
-
-
 @contextmanager
-def station_log(directory: Path) -> Iterator[StationLog]:
+def station_log(directory: Path) -> Iterator[Callable[[Event], None]]:
     """Open the log of the station, with what the program itself logs; the oldest file goes for a new one."""
     logging.raiseExceptions = False  # a log that cannot be written is not written to stderr either
     handler: logging.Handler
@@ -482,8 +455,18 @@ def station_log(directory: Path) -> Iterator[StationLog]:
     handler.setFormatter(form)
     ours = logging.getLogger("station")
     ours.addHandler(handler)
+
+    def write(event: Event) -> None:
+        """Write an event; a disk that takes none harms nothing."""
+        if event.kind not in _NOT_TOLD:
+            told = event.facts.get("text") if event.kind == "note" else json.dumps(dict(event.facts))
+            with suppress(OSError, ValueError):
+                handler.emit(
+                    logging.LogRecord("gyrolock", logging.INFO, "", 0, f"{event.kind}: {told}", None, None)
+                )
+
     try:
-        yield StationLog(handler)
+        yield write
     finally:
         ours.removeHandler(handler)
         handler.close()

@@ -177,6 +177,7 @@ def _print(table: Any, shown: int, found: int, there: int, directory: Path) -> N
 
 
 _SCHEMA = {"name": "gyrolock history", "version": 1}
+_OF_TEST = ("unit", "unit_type", "is_reference", "verdict", "simulated")
 
 
 @click.command("history")
@@ -288,13 +289,9 @@ def _document(
         "directory": str(directory),
         "tests": [
             {
-                "unit": one.unit,
-                "unit_type": one.unit_type,
-                "is_reference": one.is_reference,
+                **{name: getattr(one, name) for name in _OF_TEST},
                 "started_at": one.at,
-                "verdict": one.verdict,
                 "message": one.message or None,
-                "simulated": one.simulated,
                 "record": str(one.path),
             }
             for one in tests
@@ -308,11 +305,8 @@ def _document(
                 "limits": list(one.numbers[-1].limits),
                 "units": [test.unit for test in one.tests],
                 "started_at": [test.at for test in one.tests],
-                "centre": one.chart.centre,
-                "sigma": one.chart.sigma,
-                "moving_range": one.chart.moving_range,
+                **{name: getattr(one.chart, name) for name in ("centre", "sigma", "moving_range", "baseline")},
                 "moving_range_limit": one.chart.range_limit,
-                "baseline": one.chart.baseline,
                 "signals": [{"place": signal.place, "rule": signal.rule} for signal in one.chart.signals],
                 "in_control": one.chart.last_is_in_control,
             }

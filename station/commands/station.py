@@ -11,7 +11,16 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from station.errors import EXIT_OK, Failure, OutOfControl, RunError, StationError, UsageError, describe_failure
+from station.errors import (
+    EXIT_OK,
+    CannotWrite,
+    Failure,
+    OutOfControl,
+    RunError,
+    StationError,
+    UsageError,
+    describe_failure,
+)
 from station.shell.options import display_options, json_option, shown, transcript_option
 from station.terminal import print_failure, print_json, remark, say
 
@@ -116,10 +125,15 @@ def _asked_unit() -> str:
 
 
 def _checked(file: Path, plans: list[CampaignPlan], as_json: bool) -> int:
-    steps = plans[0].steps
-    named = [plan.unit for plan in plans]
+    from station.campaign.bench import far_limits
+
+    steps, named = plans[0].steps, [plan.unit for plan in plans]
+    warned = list(dict.fromkeys(text for plan in plans for text in far_limits(plan)))
+    for text in warned:
+        remark(text)
     if as_json:
-        print_json({"ok": True, "file": str(file), "steps": [step.key for step in steps], "units": named})
+        said = {"ok": True, "file": str(file), "steps": [step.key for step in steps], "units": named}
+        print_json({**said, "warnings": warned})
     else:
         limits = sum(len(step.limits) for step in steps)
         say(f"{file}: {len(steps)} steps, {limits} limits, all well for {', '.join(named)}")
@@ -127,11 +141,13 @@ def _checked(file: Path, plans: list[CampaignPlan], as_json: bool) -> int:
 
 
 def _test(plan: CampaignPlan, given: dict[str, Any]) -> int:
-    from station.campaign.bench import bench_in_use
+    from station.campaign.bench import bench_in_use, disk_space
     from station.campaign.conduct import conduct
     from station.campaign.journal import station_log, test_to_resume
 
     _check_bench(plan)
+    if (room := disk_space(plan)).state == "bad":
+        raise CannotWrite(room.text)
     resumed = None
     if given["resume"] is not None:
         named = given["resume"]

@@ -258,16 +258,8 @@ _FAR = 3.0  # standard uncertainties
 
 _OF_BAND: dict[str, Any] = {"of": "band.lock_in_rate", "u": "lock_in_rate_u", "limit": True, "trend": True}
 BAND = (
-    replace(
-        DEAD_BAND_WIDTH,
-        of="band.lock_in_rate",
-        u="lock_in_rate_u",
-        scale=2.0,
-        limit=True,
-        headline=True,
-        trend=True,
-    ),
-    replace(LOCK_IN_RATE, of="band.lock_in_rate", u="lock_in_rate_u", limit=True, trend=True),
+    replace(DEAD_BAND_WIDTH, **_OF_BAND, scale=2.0, headline=True),
+    replace(LOCK_IN_RATE, **_OF_BAND),
     Quantity("lock_in_rate_u", "dps", limit=True),
     replace(BIAS_RATE, of="band.bias_rate", u="bias_rate_u", limit=True, doc="middle of the band"),
     Quantity("earth_rate_on_axis", "dps", "earth_rate", doc="its vertical part"),

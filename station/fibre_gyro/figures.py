@@ -81,7 +81,6 @@ class MeritRun:
     output: NDArray[np.float64]  # (n,): Net output: less the static output
     output_u: NDArray[np.float64]
     static_drift: float  # last static output less the first, counts; nan if one is missing
-    static_drift_u: float
     figures: ScaleFigures
     pattern: ResidualPattern
     drift_removed: bool  # whether the static output was interpolated in time
@@ -288,7 +287,7 @@ def _one_run(
     bias_u = math.sqrt(sum(one**2 for _, one in bias)) / len(bias)
     return MeritRun(
         name, _temperature(segments), rate, output, u,
-        largest.drift if both else math.nan, largest.drift_u if both else math.nan,
+        largest.drift if both else math.nan,
         figures, residual_pattern(rate, output, u), any(one.modelled for one in drifts),
         sum(one for one, _ in bias) / len(bias), bias_u,
         _turn_on(switched_on, figures.fit.slope, settings, left_out), tuple(remarks),

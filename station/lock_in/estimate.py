@@ -94,7 +94,6 @@ class Gathered:
         return int(self.numbers.size)
 
 
-_ABOUT = ("unit", "operator")
 _COLUMNS = ("samples", "sample_interval_s", "level_spacing_v", *CONDITIONS)
 _NAN = math.nan
 V = TypeVar("V", np.float64, np.int64)

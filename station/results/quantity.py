@@ -67,6 +67,7 @@ class Quantity:
     u_last: bool = False  # "bias_instability_dph_u": older keys have the word behind the unit
     doc: str = ""  # what it is, where its name does not say it
     shown: str = ""  # its unit as a person reads it, where its key has none
+    expected: Get = ""  # where settings say about how large it will be
 
     def key(self, what: str = "") -> str:
         """Name in JSON; `what` is one of "u", "low_95", "high_95"."""
@@ -83,6 +84,10 @@ class Quantity:
     def limit_name(self) -> str:
         """What [limits] call it; empty where they may not."""
         return self.limit if isinstance(self.limit, str) else self.key() if self.limit else ""
+
+    def expected_by(self, settings: Any) -> float | None:
+        """About how large settings expect it to be; ``None`` where they do not say it."""
+        return float(_got(settings, self.expected)) if self.expected else None
 
     def values(self, evaluation: Any) -> dict[str, Any]:
         """Value, uncertainty and 95 % interval of an evaluation, by their keys."""

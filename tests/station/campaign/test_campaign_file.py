@@ -3,6 +3,8 @@
 import json
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import jsonschema
 import pytest
@@ -136,3 +138,23 @@ def test_doctor_looks_at_the_bench_of_a_campaign(campaign: Write, capsys: pytest
     assert "is to be TDS 2012, and answers TEKTRONIX,TDS 2014" in found["identity", "bad"]
     assert found["rate table", "ok"].startswith("turns at 50 deg/s")
     assert "levels" in found["level", "ok"] and "noise" in {name for name, _ in found}
+
+
+@pytest.mark.parametrize(
+    ("limit", "far"),
+    [(0.011, False), (0.19, False), (10.0, True), (1e-4, True), (36.0, True)],  # the last in deg/h
+)
+def test_a_limit_far_from_what_is_expected_is_told(campaign: Write, capsys: Any, limit: float, far: bool) -> None:
+    file = campaign(("at_most = 0.010", f"at_most = {limit}"))
+    assert main(["station", str(file), "--check", "--json"]) == 0
+    told = capsys.readouterr()
+    assert (len(json.loads(told.out)["warnings"]), "0.01 is expected" in told.err) == (far, far)
+
+
+def test_a_test_is_not_begun_on_a_full_disk(
+    campaign: Write, capsys: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("station.campaign.bench.shutil.disk_usage", lambda _: SimpleNamespace(free=30 * 2**20))
+    assert main(["station", str(campaign()), "--unit", "GOOD"]) == 5
+    assert "30 MB free" in capsys.readouterr().err
+    assert not (tmp_path / "tests").exists()

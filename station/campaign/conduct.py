@@ -284,6 +284,8 @@ class _Attempts:
 
     def __post_init__(self) -> None:
         self.remarks: list[str] = []
+        if self.step.only_if is not None and self.step.only_if["instead"]:
+            self.remarks.append(f"its verdict counts in the place of that of {self.step.only_if['step']}")
 
     def take(self, wait: Wait) -> Taken:
         """Take the run; the last failure of the bench is in what it returns, or raised where there is no run."""

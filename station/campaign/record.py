@@ -475,10 +475,8 @@ def render_record(record: Mapping[str, Any], outcome: CampaignOutcome, evaluated
         steps=[
             *(_step_row(step, evaluated.get(step["key"])) for step in record["steps"]),
             *(
-                [
-                    {"name": one["key"], "value": "", "begun": "not begun", "verdict": "", "state": "doubtful"}
-                    for one in record["not_begun"]
-                ]
+                {"name": one["key"], "value": "", "begun": "not begun", "verdict": "", "state": "doubtful"}
+                for one in record["not_begun"]
             ),
         ],
         shown=list(_shown(record, evaluated)),

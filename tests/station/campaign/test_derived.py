@@ -11,6 +11,7 @@ import pytest
 from station.campaign.conduct import conduct
 from station.campaign.file import read_campaign
 from station.campaign.journal import CampaignOutcome, read_journal
+from station.campaign.messages import sentences
 from station.campaign.record import write_record
 from station.campaign.verify import verify
 from station.cli import main
@@ -189,6 +190,9 @@ def test_a_step_may_depend_on_how_an_earlier_one_ended(
     assert [one.step.name for one in outcome.steps] == begun
     assert outcome.verdict == verdict
     files = write_record(outcome)
+    if begun[-1] == "longer":  # who reads a PASS beside a MARGINAL is told why
+        said = "02 longer: its verdict counts in the place of that of first"
+        assert said in files.page.read_text() and said in sentences(outcome)
     assert all(one.holds for one in verify(outcome.directory)), verify(outcome.directory)
     assert len(files.document["not_begun"]) == 3 - len(begun)
     with pytest.raises(UsageError, match="has come to its end"):

@@ -12,7 +12,8 @@ for; of those that do not, the interval says how large they may be. A record tha
 cannot tell bias instability from a random walk or a ramp: every model that is nearly as likely counts in
 uncertainties and intervals, with its probability. A ramp and a drift with the temperature are no noise: they are
 fitted to the increments of the blocks, with their covariance. Missing words are put in by the model itself
-(`missing_words`).
+(`missing_words`). A filtered output is seen up to a fifth of the filter's corner, where a first-order low-pass is
+nearly what any filter is, and its transfer function is taken out.
 """
 
 from __future__ import annotations
@@ -39,6 +40,11 @@ _SETTLED = 0.03  # standard uncertainties that the model still moves
 _MOST_UNKNOWN = 0.7
 _BOUND_ROUNDS = 3
 _TAPER = 0.02  # of a stretch, at each end
+_OF_CORNER = 0.2  # of a filter: above it a first-order low-pass is not what every filter is
+_FORM = (
+    0.004  # of the angle random walk, by the form of the filter: half of what a low-pass takes there, at random
+)
+_WIDEST = 5.0  # the spectrum that is looked at, in that of the blocks
 _ROUNDS = 40
 _RAMP = "rate_ramp"
 _SLOW = ("bias_instability", "rate_random_walk", _RAMP)  # one may be taken for another
@@ -81,8 +87,11 @@ class NoiseFit:
     slow_loudness: float = float("nan")  # the same of the slow noise
 
 
-def fit_noise(words: ArrayLike, interval_s: float, *, temperature: ArrayLike | None = None) -> NoiseFit:
-    """Fit the noise model to words at rest."""
+def fit_noise(
+    words: ArrayLike, interval_s: float, *, temperature: ArrayLike | None = None, filter_hz: float = np.inf
+) -> NoiseFit:
+    """Fit the noise model to words at rest, behind a low-pass of such a corner."""
+    corner = 2 * np.pi * filter_hz * interval_s
     values = np.array(words, dtype=np.float64)
     if values.size < _FEWEST_WORDS:
         raise ValueError(f"a noise model needs at least {_FEWEST_WORDS} output words, not {values.size}")
@@ -98,12 +107,18 @@ def fit_noise(words: ArrayLike, interval_s: float, *, temperature: ArrayLike | N
     heat = None if temperature is None else np.asarray(temperature, dtype=np.float64)
     slope, slope_u = float("nan"), float("nan")
     if heat is not None:
-        slope, slope_u = _Likelihood(on_lines(values), interval_s, heat).temperature_slope()
+        slope, slope_u = _Likelihood(on_lines(values), interval_s, heat, corner).temperature_slope()
         values = values - slope * (heat - np.nanmean(heat))
-    seen = _with_gaps_filled(values, interval_s)
+    seen = _with_gaps_filled(values, interval_s, corner)
     models = seen.likely_models()
     found = seen.coefficients(models)
     value, u, low, high = ({name: spread * one for name, one in part.items()} for part in found)
+    walk = "angle_random_walk"
+    if np.isfinite(filter_hz) and walk in value:
+        form = _FORM * value[walk]
+        u[walk] = float(np.hypot(u[walk], form))
+        low[walk] = value[walk] - float(np.hypot(value[walk] - low[walk], NORMAL_95 * form))
+        high[walk] = value[walk] + float(np.hypot(high[walk] - value[walk], NORMAL_95 * form))
     chosen = tuple(name for name in TERMS if name in next(iter(models)))
     lines, bands = seen.misfit(next(iter(models)))
     return NoiseFit(
@@ -129,15 +144,15 @@ def loudest_part(values: Floats, independent: float) -> float:
     return float(power.max()) if off.max() > _OFF and np.ptp(power) > _LOUDER else float("nan")
 
 
-def _with_gaps_filled(values: Floats, interval_s: float) -> _Likelihood:
+def _with_gaps_filled(values: Floats, interval_s: float, corner: float) -> _Likelihood:
     """Likelihood of the words with the missing ones put in, by the model of all terms that it gives itself."""
     # What one round leaves of the step of the round before is the share of the information that is missing.
-    seen = _Likelihood(on_lines(values), interval_s, None)
+    seen = _Likelihood(on_lines(values), interval_s, None, corner)
     if not fillable(values).any():
         return seen
     squares, unknown, last = seen.of_all_terms(), 0.0, 0.0
     for _ in range(_FILLINGS):
-        seen = _Likelihood(with_words_put_in(values, squares, interval_s), interval_s, None)
+        seen = _Likelihood(with_words_put_in(values, squares, interval_s, corner), interval_s, None, corner)
         before, squares = squares, seen.of_all_terms()
         step = seen.distance(before, squares)
         unknown, last = max(unknown, step / last if last else 0.0), step
@@ -199,7 +214,7 @@ def _like(model: Model) -> Iterator[Model]:
 class _Likelihood:
     """Likelihood under squares of coefficients: by blocks where the words are slow, by spectrum where fast."""
 
-    def __init__(self, values: Floats, interval_s: float, heat: Floats | None) -> None:
+    def __init__(self, values: Floats, interval_s: float, heat: Floats | None, corner: float = np.inf) -> None:
         self._known: dict[tuple[tuple[str, ...], tuple[str, ...]], tuple[dict[str, float], float]] = {}
         width = max(1, -(-values.size // _MOST_BLOCKS))
         count = values.size // width
@@ -216,8 +231,9 @@ class _Likelihood:
                 np.nanmean(heat[: count * width].reshape(count, width)[there], axis=1)
             )
         self._parts = {name: self._covariance(name) for name in RANDOM}
-        self._omega, self._power, self._number = _spectrum(values, width)
-        self._shapes = {name: increment_spectrum(name, self._omega, interval_s) for name in RANDOM}
+        self._omega, self._power, self._number = _spectrum(values, width, _OF_CORNER * corner)
+        passed = _passed(self._omega, corner)
+        self._shapes = {name: passed * increment_spectrum(name, self._omega, interval_s) for name in RANDOM}
 
     def _covariance(self, name: str) -> Floats:
         """Covariance of the increments of the block means, for a coefficient of 1."""
@@ -438,10 +454,17 @@ class _Likelihood:
         return self._scored(squares, names, [])[2]
 
 
-def _spectrum(values: Floats, width: int) -> tuple[Floats, Floats, Floats]:
+def _passed(omega: Floats, corner: float) -> Floats:
+    """Power that a first-order low-pass leaves, both in rad a word."""
+    return np.asarray(1 / (1 + (omega / corner) ** 2))
+
+
+def _spectrum(values: Floats, width: int, highest: float) -> tuple[Floats, Floats, Floats]:
     """Angular frequency, mean power of the increments, number of independent values, above the blocks' own."""
-    lowest = np.pi / width if width > 1 else np.pi / 8
-    edges = np.linspace(lowest, np.pi, _BINS + 1)
+    lowest, highest = np.pi / width if width > 1 else np.pi / 8, min(highest, np.pi)
+    if highest < _WIDEST * lowest:
+        raise ValueError("the output is filtered so slowly that a log so short does not show its fast noise")
+    edges = np.linspace(lowest, highest, _BINS + 1)
     power, place, number = np.zeros(_BINS), np.zeros(_BINS), np.zeros(_BINS)
     for stretch in _stretches(values, 4 * width + 64):
         increments = np.diff(stretch)
@@ -453,7 +476,7 @@ def _spectrum(values: Floats, width: int) -> tuple[Floats, Floats, Floats]:
         periodogram = np.abs(np.fft.rfft(taper * increments)) ** 2 / float(taper @ taper)
         omega = 2 * np.pi * np.arange(periodogram.size) / size
         independent = float(taper @ taper) ** 2 / (size * float(np.sum(taper**4)))
-        kept = (omega > lowest) & (omega < np.pi * (1 - 1e-9))
+        kept = (omega > lowest) & (omega < highest * (1 - 1e-9))
         into = np.minimum(np.searchsorted(edges, omega[kept], side="right") - 1, _BINS - 1)
         power += np.bincount(into, periodogram[kept], _BINS)
         place += np.bincount(into, omega[kept], _BINS)
@@ -620,7 +643,9 @@ def on_lines(values: Floats) -> Floats:
     return filled
 
 
-def with_words_put_in(values: Floats, squares: Mapping[str, float], interval_s: float) -> Floats:
+def with_words_put_in(
+    values: Floats, squares: Mapping[str, float], interval_s: float, corner: float = np.inf
+) -> Floats:
     """Draw missing words, with the same random numbers each time."""
     size = int(scipy.fft.next_fast_len(values.size + _MARGIN, real=True))
     known = np.zeros(size)
@@ -630,6 +655,7 @@ def with_words_put_in(values: Floats, squares: Mapping[str, float], interval_s: 
     omega = 2 * np.pi * np.arange(1, size // 2 + 1) / size
     grid = np.geomspace(omega[0], np.pi, _POINTS)
     shape = sum(square * increment_spectrum(name, grid, interval_s) for name, square in squares.items())
+    shape = shape * _passed(grid, corner)
     spectrum = np.exp(np.interp(np.log(omega), np.log(grid), np.log(shape / (4 * np.sin(grid / 2) ** 2))))
     weight = np.concatenate([[0.0], float(np.median(spectrum)) / spectrum])  # the level may be anything
     white = scipy.fft.rfft(np.random.default_rng(0).normal(size=size))

@@ -52,6 +52,7 @@ class AllanSettings(TestSettings):
     record_s: Positive
     settle_s: NotNegative
     temperature: bool
+    output_filter_hz: NotNegative
 
 
 _own = AllanSettings.of
@@ -108,11 +109,12 @@ def _noise_of(segment: Segment, settings: FogSettings) -> NoiseOf:
             recording.temperature,
         )
     try:
-        fit = fit_noise(words, recording.interval_s, temperature=temperature)
+        corner = _own(settings).output_filter_hz or math.inf
+        fit = fit_noise(words, recording.interval_s, temperature=temperature, filter_hz=corner)
     except np.linalg.LinAlgError:
         raise ValueError(
             "the spectrum of its output is not that of noise: the output is filtered, or is no output at rest; "
-            "record it unfiltered"
+            "record it unfiltered, or state allan.output_filter_hz"
         ) from None
     shown = words if temperature is None else words - fit.temperature_slope * (temperature - temperature.mean())
     curve = allan_curve(shown, recording.interval_s, fit.coefficients)
@@ -156,13 +158,12 @@ RECORD = (
 )
 # what data sheets ask for first
 STABILITY = (
-    Quantity(
-        "bias_stability_10s", "dph", "stability_10s", u=True, scale=3600.0, limit=True, optional=True,
-        doc="1 sigma of means over 10 s",
-    ),
-    Quantity(
-        "bias_stability_100s", "dph", "stability_100s", u=True, scale=3600.0, limit=True, optional=True,
-        doc="1 sigma of means over 100 s",
+    *(
+        Quantity(
+            f"bias_stability_{tau}", "dph", f"stability_{tau}", u=True, scale=3600.0, limit=True, optional=True,
+            doc=f"1 sigma of means over {tau[:-1]} s",
+        )
+        for tau in ("10s", "100s")
     ),
     Quantity(
         "allan_minimum", "dph", lambda one: one.curve.deviation[one.curve.lowest],
@@ -191,8 +192,10 @@ def result(found: AllanEvaluation, run: SavedRun, settings: FogSettings) -> Resu
     if walk is not None:
         u = first.fit.coefficients_u["angle_random_walk"]
         value = f"N = {with_uncertainty(60 * walk, 60 * u)} deg/√h"
+    corner = _own(settings).output_filter_hz
+    behind = f" behind a filter of {corner:g} Hz, which is taken out" if corner else ""
     lines = (
-        f"{first.key}: {first.duration_s / 3600:.3g} h of output; by maximum likelihood, "
+        f"{first.key}: {first.duration_s / 3600:.3g} h of output{behind}; by maximum likelihood, "
         f"in the model: {', '.join(TERMS[name].words for name in first.fit.chosen)}.",
         _stability_line(first),
     )
@@ -321,7 +324,7 @@ def _not_by_the_model(one: NoiseOf) -> list[str]:
         said.append(
             f"between {low:.3g} and {high:.3g} Hz the output has {power:.2g} times the power of the model: its "
             f"noise is not the sum of the five terms, and the coefficients are wrong. If it is "
-            "filtered, record it unfiltered."
+            "filtered, state allan.output_filter_hz, or record it unfiltered."
         )
     if math.isfinite(fit.loudness) or math.isfinite(fit.slow_loudness):
         kind, times = ("noise", fit.loudness) if math.isfinite(fit.loudness) else ("slow noise", fit.slow_loudness)

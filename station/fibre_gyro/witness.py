@@ -260,7 +260,7 @@ def open_simulated_scope(settings: FogSettings, *, times_resumed: int = 0) -> It
     scope = SimulatedTDS2014(
         {int(witness.channel[2:]): lambda times: voltage(times) / witness.probe}, clock=VirtualClock(), seed=seed
     )
-    with serve(scope, "auto") as resource, open_scope(resource, read_twice=False) as opened:
+    with serve(scope, "auto") as resource, open_scope(resource, simulated=True) as opened:
         yield opened
 
 

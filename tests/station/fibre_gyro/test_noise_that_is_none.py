@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scipy.signal import butter, lfilter
 
+from analysis.fibre_gyro import fit_noise
 from station.errors import NoUsableSignal
 from tests.station.fibre_gyro.test_logs_as_they_come import Logs
 
@@ -17,7 +18,7 @@ TIME = np.arange(SIZE) / RATE
 Noise = Callable[[np.random.Generator, np.ndarray], np.ndarray]
 
 
-def said(folder: Path, noise: Noise, seed: int = 3) -> str:
+def said(folder: Path, noise: Noise, seed: int = 3, filter_hz: float = 0.0) -> str:
     """All that an evaluation says of an output at rest."""
     rng = np.random.default_rng(seed)
     words = noise(rng, SIGMA * rng.standard_normal(SIZE))
@@ -27,7 +28,7 @@ def said(folder: Path, noise: Noise, seed: int = 3) -> str:
     )
     logs.rows.append("rest.csv")
     try:
-        found = logs.evaluate("allan")
+        found = logs.evaluate("allan", allan={"output_filter_hz": filter_hz})
     except NoUsableSignal as error:
         return str(error)
     return " ".join([*found["flags"], *(one["reason"] for one in found["left_out"])])
@@ -70,3 +71,36 @@ def test_noise_of_all_slow_terms_says_nothing(tmp_path: Path) -> None:
 )  # fmt: skip
 def test_what_is_no_noise_of_the_model_is_named(tmp_path: Path, noise: Noise, named: str) -> None:
     assert named in said(tmp_path, noise)
+
+
+@pytest.mark.parametrize(
+    ("noise", "corner"),
+    [
+        (low_pass(30.0), 30.0),
+        (low_pass(5.0), 5.0),
+        (lambda rng, white: np.convolve(white, np.ones(10) / 10)[:SIZE], 0.443 * RATE / 10),
+        (lambda rng, white: np.convolve(white, np.ones(2) / 2)[:SIZE], 0.443 * RATE / 2),
+        (lambda rng, white: np.asarray(lfilter(*butter(2, 0.4), white)), 20.0),
+    ],
+    ids=["30 Hz", "5 Hz", "mean of 10", "mean of 2", "second order"],
+)
+def test_a_filter_that_is_stated_is_taken_out(noise: Noise, corner: float) -> None:
+    """The white noise before the filter, whatever its form, with a hundredth of the words missing."""
+    pulls = []
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        words = noise(rng, SIGMA * rng.standard_normal(SIZE))
+        words[rng.random(SIZE) < 0.01] = np.nan
+        fit = fit_noise(words, 1 / RATE, filter_hz=corner)
+        walk, u = fit.coefficients["angle_random_walk"], fit.coefficients_u["angle_random_walk"]
+        pulls.append((walk - SIGMA / np.sqrt(RATE)) / u)
+        assert fit.low_95["angle_random_walk"] < walk < fit.high_95["angle_random_walk"]
+        assert not (fit.bands or fit.lines_hz or np.isfinite([fit.loudness, fit.slow_loudness]).any())
+    assert np.sqrt(np.mean(np.square(pulls))) < 1.6 and abs(np.mean(pulls)) < 0.8, pulls
+
+
+@pytest.mark.parametrize(
+    ("true", "stated", "named"), [(3.0, 30.0, "the power of the model"), (30.0, 1e-3, "so slowly")]
+)
+def test_a_filter_that_is_stated_wrong_is_named(tmp_path: Path, true: float, stated: float, named: str) -> None:
+    assert named in said(tmp_path, low_pass(true), filter_hz=stated)

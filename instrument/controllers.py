@@ -36,11 +36,10 @@ _AGAIN_S = 0.5
 
 
 class Controller:
-    """A rate table, chamber or power supply on a link; a context manager, which leaves it as it is.
+    """A rate table, chamber or power supply on a link; a context manager, which leaves it as it is."""
 
-    Every question and every order is tried as often as the template says. An order names the value that is wanted,
-    never a step from where it is: so it can be given again.
-    """
+    # Every question and every order is tried as often as the template says. An order names the value that is
+    # wanted, never a step from where it is: so it can be given again.
 
     def __init__(
         self,

@@ -22,9 +22,9 @@ from instrument.dialogue.identify import (
     raise_errors,
     scope_event,
 )
-from instrument.dialogue.link import ANSWER_TIME, SLICE_TIME, Link, NoAnswer
+from instrument.dialogue.link import SLICE_TIME, Link, NoAnswer
 from instrument.dialogue.record_query import PREAMBLE_FIELDS, RecordQuestion
-from instrument.dialogue.retry import AnswerTimeout, Persistence, Tally
+from instrument.dialogue.retry import ANSWER_TIME, AnswerTimeout, Persistence, Tally
 from instrument.errors import (
     InstrumentError,
     LinkError,
@@ -73,6 +73,7 @@ class Exchange(ABC):
         self._recovering = self.reconnecting = False
         self._answer_due = False
         self._mark: int | None = None
+        link.answer_time = self.persistence.answer_time
         self._patience = AnswerTimeout(link.pause_time, link.answer_time)
         self._late_until: float | None = None
         """Until when a message that nobody waits for any more may still arrive, and be obeyed."""
@@ -183,10 +184,8 @@ class Exchange(ABC):
         return found
 
     def send(self, text: str, *, kind: str = TEXT) -> str:
-        """Send a message, with a mark in front of it where marks are in use; returns the mark, else "".
-
-        Where marks are in use, its answer is waited for as long as those of its kind make likely.
-        """
+        """Send a message, with a mark in front of it where marks are in use; returns the mark, else ""."""
+        # Where marks are in use, its answer is waited for as long as those of its kind make likely.
         if self._mark is None:
             self.link.write(text)
             return ""
@@ -211,10 +210,8 @@ class Exchange(ABC):
     # ------------------------------------------------------------------ doing it again
 
     def repeated(self, work: Callable[[], T]) -> T:
-        """Do an exchange, or a step that can be done again as a whole, as often as the persistence allows.
-
-        What the scope refuses twice in the same words was not spoiled by the line, and is raised.
-        """
+        """Do an exchange, or a step that can be done again as a whole, as often as the persistence allows."""
+        # What the scope refuses twice in the same words was not spoiled by the line, and is raised.
         refused = ""
         for attempt in range(1, self.persistence.attempts + 1):
             last = self._recovering or attempt == self.persistence.attempts
@@ -535,14 +532,12 @@ class Dialogue(Exchange):
     def records(
         self, commands: str, sources: tuple[str, ...], *, wait: float = 0.0, afterwards: str = ""
     ) -> tuple[Waveform, ...]:
-        """Send commands and ask for the records of `sources`, all in one message.
-
-        The status register is asked for with them, so that a command that was lost or refused on its way cannot
-        pass an old record off as a new one. A preamble that differs from the last one of its source is
-        asked for a second time, because a lost digit in it could not be noticed otherwise; a persistent program
-        has each record sent twice instead. Of several sources the scope tells before and after them that it is
-        stopped: then they are of one acquisition.
-        """
+        """Send commands and ask for the records of `sources`, all in one message."""
+        # The status register is asked for with them, so that a command that was lost or refused on its way cannot
+        # pass an old record off as a new one. A preamble that differs from the last one of its source is asked for
+        # a second time, because a lost digit in it could not be noticed otherwise; a persistent program has each
+        # record sent twice instead. Of several sources the scope tells before and after them that it is stopped:
+        # then they are of one acquisition.
         clean = "*CLS" if self.unread_events else ""
         self.unread_events = False
         twice = self.persistence.careful and self.persistence.read_twice

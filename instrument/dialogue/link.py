@@ -24,7 +24,7 @@ from pyvisa.constants import InterfaceType, StatusCode
 from pyvisa.resources import SerialInstrument
 
 from instrument import scpi
-from instrument.dialogue.retry import ComputerClock, RetryClock
+from instrument.dialogue.retry import ANSWER_TIME, ComputerClock, RetryClock
 from instrument.errors import LinkError, TransferError
 from instrument.pyvisa_sessions import (
     READ_AGAIN_S,
@@ -36,9 +36,6 @@ from instrument.pyvisa_sessions import (
     socket_of,
 )
 from instrument.text_files import note
-
-ANSWER_TIME = 3.0
-"""Longest time in s until an answer begins: twice the 1.5 s that units of this family were seen to take."""
 
 PAUSE_TIME = 0.5  # longest silence in s inside an answer that has begun
 LINE_MARGIN = 1.5  # real time over ideal time of a serial line, for flow control and the other side's scheduling

@@ -15,6 +15,8 @@ from typing import Protocol
 # where every answer bears the mark of its question is it safe to give up early: one that comes too late is known
 # as such
 
+ANSWER_TIME = 3.0
+"""Longest time in s until an answer begins: twice the 1.5 s that units of this family were seen to take."""
 
 _MEAN_GAIN, _SPREAD_GAIN = 1 / 8, 1 / 4
 _MEANS, _SPREADS = 2.0, 4.0  # RFC 6298 takes one mean: here a silence costs more than it does TCP
@@ -114,6 +116,8 @@ class Persistence:
         Is called with one sentence when the link is lost, and when it is there again.
     clock : Clock
         The time that is waited by.
+    answer_time : float
+        Longest time in s until an answer begins, besides that of the acquisition.
     """
 
     attempts: int = 1
@@ -121,6 +125,7 @@ class Persistence:
     read_twice: bool = True
     tell: Callable[[str], None] = _say_nothing
     clock: RetryClock = field(default_factory=ComputerClock)
+    answer_time: float = ANSWER_TIME
 
     @property
     def careful(self) -> bool:

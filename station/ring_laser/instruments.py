@@ -218,8 +218,7 @@ def open_simulated_bench(
     instruments = build_instruments(settings, VirtualClock(), times_resumed=times_resumed)
     with (
         serve(instruments.scope, instruments.link) as resource,
-        # no byte changes inside this computer
-        open_scope(resource, read_twice=False) as scope,
+        open_scope(resource, simulated=True) as scope,
         _table(settings, instruments, tell) as table,
         open_surroundings(settings.controllers, tell=tell, simulated=True) as surroundings,
     ):

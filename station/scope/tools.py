@@ -4,7 +4,7 @@ import io
 import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, get_args
 
@@ -29,6 +29,8 @@ from instrument.simulated import GpibAdapterServer, HislipServer, PtyServer, Sig
 from instrument.simulated.faults import Fault, FaultKind
 from station.errors import CannotWrite, UsageError
 
+_SIMULATED_ANSWER_S = 30.0
+
 
 @contextmanager
 def open_scope(
@@ -36,13 +38,15 @@ def open_scope(
     baud_rate: int = 0,
     *,
     reconnect_s: float = RECONNECT_FOR,
-    read_twice: bool = True,
+    simulated: bool = False,
     tell: Callable[[str], None] | None = None,
     put_back: FoundPanel | None = None,
     same_as: Identity | None = None,
 ) -> Iterator[TDS2014]:
     """Open an oscilloscope and put its front panel back afterwards."""
-    persistence = Persistence(ATTEMPTS, reconnect_s, read_twice, tell or (lambda _: None))
+    persistence = Persistence(ATTEMPTS, reconnect_s, tell=tell or (lambda _: None))
+    if simulated:  # no byte changes inside this computer, and a scope that computes its signals takes its time
+        persistence = replace(persistence, read_twice=False, answer_time=_SIMULATED_ANSWER_S)
     with TDS2014(resource, baud_rate=baud_rate or None, persistence=persistence) as scope:
         if same_as is not None and not scope.identity.same_unit(same_as):
             raise WrongInstrument(

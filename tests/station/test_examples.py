@@ -132,3 +132,17 @@ def test_visible() -> None:
     from station.terminal import visible
 
     assert visible("RLG \x1b[2J7") == "RLG \\x1b[2J7"
+
+
+def test_large() -> None:
+    from station.campaign.messages import MEANING, large
+
+    assert "\n".join(line.rstrip() for line in large("FAIL")) == (
+        "#####   ###    ###   #\n"
+        "#      #   #    #    #\n"
+        "####   #####    #    #\n"
+        "#      #   #    #    #\n"
+        "#      #   #   ###   #####"
+    )
+    for verdict in MEANING:  # every verdict has its letters, each as wide
+        assert {len(line) for line in large(verdict)} == {7 * len(verdict) - 2}

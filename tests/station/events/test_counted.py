@@ -59,7 +59,7 @@ def test_a_second_run_of_one_program_has_its_own_count(tmp_path: Path) -> None:
         instruments = build_instruments(settings, VirtualClock())
         facts = facts_of("measure", settings.model_dump(mode="json"), simulated=True)
         session = Acquisition(facts, tmp_path, progress)
-        with serve(instruments.scope, "tcp") as resource, open_scope(resource, read_twice=False) as scope:
+        with serve(instruments.scope, "tcp") as resource, open_scope(resource, simulated=True) as scope:
             bench = Bench(scope, None, sleep=instruments.clock.sleep)
             assert take(session, lambda of, bench=bench: take_on(bench, settings, of)).failure is None
     assert [(one["all_done"], one["all_total"]) for one in seen] == [(1, 2), (2, 2)] * 2
@@ -75,7 +75,7 @@ def test_a_link_that_is_lost_is_told_at_once(tmp_path: Path) -> None:
     session = Acquisition(facts, tmp_path, progress)
     with (
         serve(instruments.scope, "tcp") as resource,
-        open_scope(resource, read_twice=False, tell=session.link_says) as scope,
+        open_scope(resource, simulated=True, tell=session.link_says) as scope,
     ):
         session.watch(scope)
         instruments.scope.faults.add(Fault("link closed", answer=20))

@@ -4,8 +4,6 @@ It says its numbers as one JSON object. Each that is declared stands there: alon
 `u`, or `low_95` and `high_95`. The bytes of its answer are the run's record, so the result can be computed again.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import shlex

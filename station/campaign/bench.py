@@ -5,10 +5,9 @@ import os
 import shutil
 import time
 from collections.abc import Iterator, Mapping
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, replace
 from datetime import UTC, date, datetime
-from pathlib import Path
 from typing import Any
 
 from instrument import InstrumentError
@@ -220,15 +219,10 @@ def _identities(cards: tuple[InstrumentCard, ...], looked: list[Check]) -> Itera
 
 def _unfinished(plan: CampaignPlan) -> Iterator[Check]:
     folders = [path for path in plan.directory.glob("*") if path.is_dir()] if plan.directory.is_dir() else []
-    left = [str(path) for folder in folders for path in tests_of(plan.directory, folder.name) if _is_left(path)]
+    left: list[str] = []
+    for test in (path for folder in folders for path in tests_of(plan.directory, folder.name)):
+        with suppress(RunError):
+            left += [str(test)] if read_journal(test).left else []
     if left:
-        yield Check(
-            "tests", "note", f"not come to their end: {', '.join(left[-5:])}: go on with --resume, or leave them"
-        )
-
-
-def _is_left(path: Path) -> bool:
-    try:
-        return bool(read_journal(path).left)
-    except RunError:
-        return False
+        text = f"not come to their end: {', '.join(left[-5:])}: go on with --resume, or leave them"
+        yield Check("tests", "note", text)

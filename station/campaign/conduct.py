@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import logging
 import time
 from collections.abc import Iterable, Iterator, Mapping
@@ -24,6 +23,7 @@ from station.campaign.journal import (
     read_journal,
     step_as_json,
 )
+from station.campaign.record import file_sha256
 from station.errors import (
     EXIT_DEFECT,
     EXIT_NO_SIGNAL,
@@ -351,7 +351,7 @@ def _evaluated(
     except NoUsableSignal as error:
         failure = failure or describe_failure(error)
         save_outcome(taken.run(), failure)
-        return _failed(replace(begun, run_sha256=_sha256(path)), failure)
+        return _failed(replace(begun, run_sha256=file_sha256(path)), failure)
     except CannotWrite:
         raise
     except Exception as error:
@@ -359,8 +359,9 @@ def _evaluated(
     if len(known) < _KEPT:
         known[begun.step.key] = evaluated
     result = evaluated.result
-    remarks = (*begun.remarks, *_remarks(evaluated), *((lost.message,) if lost is not None else ()))
-    begun = replace(begun, document=document, remarks=remarks, run_sha256=_sha256(path))
+    said = [*(one.sentence for one in result.left_out), *evaluated.run.damaged]
+    remarks = (*begun.remarks, *said, *((lost.message,) if lost is not None else ()))
+    begun = replace(begun, document=document, remarks=remarks, run_sha256=file_sha256(path))
     if failure is None and result.problem:
         failure = Failure(NoUsableSignal.kind, result.problem, EXIT_NO_SIGNAL)
     if failure is not None:
@@ -368,10 +369,6 @@ def _evaluated(
     steps = steps_by_name((one.step.key, one.step.measurement, one.document) for one in before)
     limits = judged(result, document, begun.step.limits, doubtful=begun.step.doubtful, steps=steps)
     return replace(begun, limits=limits, verdict=worst(one.verdict for one in limits), ended_at=utc_now())
-
-
-def _remarks(evaluated: Evaluated) -> list[str]:
-    return [*(one.sentence for one in evaluated.result.left_out), *evaluated.run.damaged]
 
 
 def _failed(begun: StepOutcome, failure: Failure | None) -> StepOutcome:
@@ -388,10 +385,6 @@ def _described(error: Exception, step: PlannedStep) -> Failure:
         f"{type(error).__name__}: {one_line(error)} (this is a defect of gyrolock; the station's log shows where)"
     )
     return Failure("defect", text, EXIT_DEFECT)
-
-
-def _sha256(path: Path) -> str:
-    return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 # --------------------

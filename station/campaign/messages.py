@@ -14,23 +14,15 @@ from station.results.result import TextTable
 from station.results.verdict import LimitOutcome, interval_words, limit_words, margin_words, number_words
 from station.terminal import visible
 
-_LETTERS = {
-    "A": (" ### ", "#   #", "#####", "#   #", "#   #"),
-    "B": ("#### ", "#   #", "#### ", "#   #", "#### "),
-    "D": ("#### ", "#   #", "#   #", "#   #", "#### "),
-    "E": ("#####", "#    ", "#### ", "#    ", "#####"),
-    "F": ("#####", "#    ", "#### ", "#    ", "#    "),
-    "G": (" ####", "#    ", "#  ##", "#   #", " ####"),
-    "I": ("###", " # ", " # ", " # ", "###"),
-    "L": ("#    ", "#    ", "#    ", "#    ", "#####"),
-    "M": ("#   #", "## ##", "# # #", "#   #", "#   #"),
-    "N": ("#   #", "##  #", "# # #", "#  ##", "#   #"),
-    "O": (" ### ", "#   #", "#   #", "#   #", " ### "),
-    "P": ("#### ", "#   #", "#### ", "#    ", "#    "),
-    "R": ("#### ", "#   #", "#### ", "#  # ", "#   #"),
-    "S": (" ####", "#    ", " ### ", "    #", "#### "),
-    "T": ("#####", "  #  ", "  #  ", "  #  ", "  #  "),
-}
+_ALPHABET = "ABDEFGILMNOPRST"
+_ROWS = (
+    " ###  ####  ####  ##### #####  ####  ###  #     #   # #   #  ###  ####  ####   #### #####",
+    "#   # #   # #   # #     #     #       #   #     ## ## ##  # #   # #   # #   # #       #  ",
+    "##### ####  #   # ####  ####  #  ##   #   #     # # # # # # #   # ####  ####   ###    #  ",
+    "#   # #   # #   # #     #     #   #   #   #     #   # #  ## #   # #     #  #      #   #  ",
+    "#   # ####  ####  ##### #      ####  ###  ##### #   # #   #  ###  #     #   # ####    #  ",
+)
+"""Each letter five wide, a blank between two."""
 
 COLOURS = {"PASS": "green", "FAIL": "red", "MARGINAL": "yellow", "ERROR": "magenta", "ABORTED": "magenta"}
 
@@ -44,16 +36,9 @@ MEANING = {
 
 
 def large(word: str) -> list[str]:
-    r"""Return a word in letters five lines high; lines of one length.
-
-    >>> print("\n".join(line.rstrip() for line in large("FAIL")))
-    #####   ###   ###  #
-    #      #   #   #   #
-    ####   #####   #   #
-    #      #   #   #   #
-    #      #   #  ###  #####
-    """
-    return ["  ".join(_LETTERS[letter][row] for letter in word) for row in range(5)]
+    """Return a word in letters five lines high; lines of one length."""
+    places = [6 * _ALPHABET.index(letter) for letter in word]
+    return ["  ".join(row[place : place + 5] for place in places) for row in _ROWS]
 
 
 LIMIT_COLUMNS = ("verdict", "step", "number", "value", "95 % interval", "limit", "margin", "risk")

@@ -7,8 +7,6 @@ c_k(a) is what the input k contributes to a, with its sign: scale factor, time b
 the same in two runs of a bench. Source: JCGM 100:2008, 5.2.2, equation (16), such inputs with correlation 1.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass

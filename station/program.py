@@ -6,7 +6,9 @@ It says its numbers as one JSON object. Each that is declared stands there: alon
 
 import json
 import math
+import os
 import shlex
+import shutil
 import subprocess
 import sys
 from collections.abc import Mapping
@@ -78,6 +80,8 @@ class ProgramSettings(SettingsSection):
 def take(settings: ProgramSettings, session: Acquisition) -> None:
     """Run it, and keep what it says."""
     program, writer = settings.program, session.begin()
+    if session.resumed is not None and session.resumed.taken_for(_PURPOSE):
+        return  # killed when the answer was on the disk
     session.progress.note(f"running {program.called}")
     try:
         done = subprocess.run(
@@ -116,7 +120,7 @@ def evaluate(run: SavedRun, settings: ProgramSettings, *_: Any) -> dict[str, Any
     except (KeyError, TypeError, IndexError) as error:
         raise NoUsableSignal(f"{called} does not say {error}, which is declared in [numbers]") from None
     found: dict[str, Any] = {"numbers": dict(settings.numbers)}
-    for (name, number), quantity in zip(numbers.items(), _quantities(settings.numbers), strict=True):
+    for (name, number), quantity in zip(numbers.items(), declared(settings.numbers)[0].quantities, strict=True):
         parts = number if isinstance(number, dict) else {"value": number}
         for what in ("value", "u", "low_95", "high_95"):
             one = parts.get(what)
@@ -127,21 +131,18 @@ def evaluate(run: SavedRun, settings: ProgramSettings, *_: Any) -> dict[str, Any
     return found
 
 
-def _quantities(numbers: Mapping[str, str]) -> list[Quantity]:
-    return [
-        Quantity(name, shown=unit, u=True, limit=True, headline=place == 0, trend=True)
-        for place, (name, unit) in enumerate(numbers.items())
-    ]
-
-
 def declared(numbers: Mapping[str, str]) -> Quantities:
     """Return the numbers that settings, or a saved result, declare with their units."""
-    return (QuantityGroup(tuple(_quantities(numbers))),)
+    made = (
+        Quantity(name, shown=unit, u=True, limit=True, headline=place == 0, trend=True)
+        for place, (name, unit) in enumerate(numbers.items())
+    )
+    return (QuantityGroup(tuple(made)),)
 
 
 def result(found: dict[str, Any], run: SavedRun, settings: ProgramSettings) -> Result:
     """Put into words what was said."""
-    values = [one.value_in(found) for one in _quantities(settings.numbers)]
+    values = [one.value_in(found) for one in declared(settings.numbers)[0].quantities]
     rows = tuple((one.words, one.text) for one in values)
     name, value = rows[0] if rows else ("answer", "no number is declared")
     return Result(name, value, found, declared(settings.numbers), summary=rows[1:], brief=rows)
@@ -160,9 +161,11 @@ def _check(settings: ProgramSettings, path: Path) -> ProgramSettings:
     if program.function and not (colon and name.isidentifier() and (folder / file).is_file()):
         raise SettingsError(f"{path}: program.function: {program.function!r} is no FILE.py:NAME in its folder")
     try:
-        program.words("")
+        first = program.words("")[0]
     except ValueError as error:
         raise SettingsError(f"{path}: program.command: {error}") from None
+    if shutil.which(first, path=f"{os.environ.get('PATH', '')}{os.pathsep}{folder}") is None:
+        raise SettingsError(f"{path}: program.command: {first!r} is not found on this computer")
     if clash := [name for name in settings.numbers if name.rpartition("_")[2] in ("u", "95") or name == "numbers"]:
         raise SettingsError(f"{path}: numbers.{clash[0]}: is the name of an uncertainty, not of a number")
     return settings.model_copy(update={"program": program.model_copy(update={"directory": str(folder)})})

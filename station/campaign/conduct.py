@@ -134,11 +134,12 @@ class _Conducting:
         return journal, self.before.started_at
 
     def _go_through(self, journal: Journal) -> None:
-        warm = 0.0
+        warm, stopped = 0.0, False
         with self._surroundings() as surroundings:
             for place, step in enumerate(self.plan.steps):
                 warm = max(warm, step.warm_up_s)
-                if step.key in self.done or not step.is_due(self.done.values()):
+                due = step.is_due(self.done.values()) and not (stopped and step.only_if is None)
+                if step.key in self.done or not due:
                     continue
                 wait = Wait(self.progress, skipped=self.plan.simulated)
                 # a unit that goes on after a power failure is cold
@@ -146,8 +147,7 @@ class _Conducting:
                     one.key not in self.done for one in self.plan.steps[:place]
                 )
                 self._one(journal, step, surroundings, wait, warm if again else step.warm_up_s)
-                if self.plan.stop_after_failure and self.done[step.key].verdict in (FAIL, ERROR):
-                    break
+                stopped |= self.plan.stop_after_failure and self.done[step.key].verdict in (FAIL, ERROR)
 
     @contextmanager
     def _surroundings(self) -> Iterator[Environment]:

@@ -311,13 +311,10 @@ class Written:
     def left(self) -> tuple[PlannedStep, ...]:
         """Steps that are to be taken, or to be gone on with because the bench has failed them."""
         failed = any(one.verdict in (FAIL, ERROR) and not to_repeat(one) for one in self.steps.values())
-        if self.plan.stop_after_failure and failed:
-            return ()
-        return tuple(
-            step
-            for step in self.plan.steps
-            if step.is_due(self.steps.values()) and ((one := self.steps.get(step.key)) is None or to_repeat(one))
-        )
+        stopped = self.plan.stop_after_failure and failed
+        steps = [step for step in self.plan.steps if not (stopped and step.only_if is None)]
+        due = (step for step in steps if step.is_due(self.steps.values()))
+        return tuple(step for step in due if (one := self.steps.get(step.key)) is None or to_repeat(one))
 
     def outcome(self) -> CampaignOutcome:
         """Return how the test has ended, as far as it is written."""

@@ -285,7 +285,7 @@ def junit_xml(record: Mapping[str, Any]) -> str:
     # not take it for a pass. ERROR and ABORTED are errors, steps that were not begun are skipped.
     root = ET.Element("testsuites", {"name": _text(f"{record['campaign']['name']}: {record['unit']['serial']}")})
     for step in record["steps"]:
-        _suite(root, step, record)
+        _suite(root, step, record, counts=step["name"] not in replaced_steps(record))
     for step in record["not_begun"]:
         suite = ET.SubElement(root, "testsuite", {"name": _text(step["key"])})
         case = ET.SubElement(
@@ -298,7 +298,13 @@ def junit_xml(record: Mapping[str, Any]) -> str:
     return '<?xml version="1.0" encoding="utf-8"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
 
 
-def _suite(root: ET.Element, step: Mapping[str, Any], record: Mapping[str, Any]) -> None:
+def replaced_steps(record: Mapping[str, Any]) -> set[str]:
+    """Return names of steps whose verdict does not count, since a later one stands for it."""
+    asked = (step["only_if"] for step in record["steps"] if step.get("only_if"))
+    return {one["step"] for one in asked if one["instead"]}
+
+
+def _suite(root: ET.Element, step: Mapping[str, Any], record: Mapping[str, Any], *, counts: bool) -> None:
     about = {"name": _text(step["key"]), "hostname": _text(record["station"]["host"] or "")}
     if step["started_at"]:
         about["timestamp"] = step["started_at"].rstrip("Z").split(".")[0]
@@ -319,11 +325,11 @@ def _suite(root: ET.Element, step: Mapping[str, Any], record: Mapping[str, Any])
         # the time of the step belongs to all of its limits together
         case = _case(suite, step["key"], limit["name"], seconds if place == 0 else "0")
         _properties(case, {name: limit[name] for name in _OF_CASE})
-        _say(case, limit["verdict"], limit["sentence"])
+        _say(case, limit["verdict"] if counts else None, limit["sentence"])
     broken = step["failure"] is not None
     if broken or not step["limits"]:
         case = _case(suite, step["key"], "measurement", "0" if step["limits"] else seconds)
-        _say(case, step["verdict"] if broken else None, step["message"] or "")
+        _say(case, step["verdict"] if broken and counts else None, step["message"] or "")
     _count(suite)
     if step["remarks"]:
         ET.SubElement(suite, "system-out").text = _text("\n".join(step["remarks"]))

@@ -16,6 +16,7 @@ from station.campaign.record import (
     file_sha256,
     limit_document,
     records_sha256,
+    replaced_steps,
 )
 from station.errors import StationError, UsageError, one_line
 from station.measurements import steps_by_name
@@ -158,9 +159,7 @@ def _judged_again(step: Mapping[str, Any], again: Evaluated, before: Sequence[Ma
 
 def _outcome(record: Mapping[str, Any]) -> RecordCheck:
     """Whether the verdict of all is that of the steps."""
-    asked = [step["only_if"] for step in record["steps"] if step.get("only_if")]
-    replaced = {one["step"] for one in asked if one["instead"]}
-    said = record["outcome"]["verdict"]
+    said, replaced = record["outcome"]["verdict"], replaced_steps(record)
     verdicts = [step["verdict"] for step in record["steps"] if step["name"] not in replaced]
     of_steps = worst(one for one in verdicts if one is not None)
     if record["outcome"]["failure"] is not None:

@@ -87,5 +87,4 @@ def _shared(budget: Any, value: Value, document: Mapping[str, Any]) -> dict[tupl
 def _u(value: Value) -> float:
     """Standard uncertainty, or half of the wider side of the 95 % interval if it is more; nan where not known."""
     side = max(value.value - value.low_95, value.high_95 - value.value)
-    known = [one for one in (value.u, side / 2) if math.isfinite(one)]
-    return max(known) if math.isfinite(value.u) else side / 1.96
+    return max(value.u, side / 2 if math.isfinite(side) else 0.0) if math.isfinite(value.u) else side / 1.96

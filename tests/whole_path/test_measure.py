@@ -155,9 +155,9 @@ def test_the_truth_lies_where_the_uncertainty_says(tmp_path: Path) -> None:
 
 
 def test_a_gyro_that_stays_locked_is_no_usable_signal(gyrolock, tmp_path: Path) -> None:
-    (tmp_path / "my.toml").write_text("[simulation]\nlock_in_rate_dps = 500.0\n")
+    (tmp_path / "my.toml").write_text("[simulation]\nlock_in_rate_dps = 5000.0\n")
     done = gyrolock("measure", "--config", "my.toml", "--json")
-    assert done.code == 4
+    assert done.code == 4, done.err
     assert done.document["error"]["kind"] == "no_usable_signal"
     assert done.document["error"]["exit_code"] == 4
     assert len(done.err.strip().splitlines()[-1]) < 250

@@ -1,6 +1,7 @@
 """Limits on what two numbers of a test make, and steps that are due only where an earlier one failed."""
 
 import json
+import xml.etree.ElementTree as ElementTree
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Literal
@@ -19,6 +20,7 @@ from station.errors import SettingsError, UsageError
 from station.results.derived import budgeted_values, derived
 from station.results.quantity import Quantity, QuantityGroup
 from station.runs.progress import Progress
+from station.runs.store import RunWriter
 
 Write = Callable[..., Path]
 
@@ -174,6 +176,9 @@ only_if = { step = "first", verdict = ["FAIL", "ERROR"] }
 """
 
 
+SECOND = '\n[[step]]\nname = "second"\nmeasurement = "measure"\n'
+
+
 @pytest.mark.parametrize(
     ("unit", "begun", "verdict"),
     [
@@ -190,6 +195,8 @@ def test_a_step_may_depend_on_how_an_earlier_one_ended(
     assert [one.step.name for one in outcome.steps] == begun
     assert outcome.verdict == verdict
     files = write_record(outcome)
+    root = ElementTree.parse(files.junit).getroot()
+    assert root.get("failures") == ("0" if verdict == "PASS" else "1")  # the MARGINAL that does not count is none
     if begun[-1] == "longer":  # who reads a PASS beside a MARGINAL is told why
         said = "02 longer: its verdict counts in the place of that of first"
         assert said in files.page.read_text() and said in sentences(outcome)
@@ -197,6 +204,16 @@ def test_a_step_may_depend_on_how_an_earlier_one_ended(
     assert len(files.document["not_begun"]) == 3 - len(begun)
     with pytest.raises(UsageError, match="has come to its end"):
         outcome_of(file, unit, resumed=outcome.directory)
+
+
+def test_what_an_unlucky_step_asks_for_is_not_left_out(campaign: Write) -> None:
+    """`stop_after_failure` leaves out what comes behind a FAIL, but not what is there to tell why."""
+    file = campaign(("attempts = 3", "attempts = 3\nstop_after_failure = true"), steps=1, more=f"{LONGER}{SECOND}")
+    outcome = outcome_of(file, "BAD")
+    assert [one.step.name for one in outcome.steps] == ["first", "why"]
+    with pytest.raises(UsageError, match="has come to its end"):
+        outcome_of(file, "BAD", resumed=outcome.directory)
+    assert [one.step.name for one in outcome_of(file, "GOOD").steps] == ["first", "second"]
 
 
 @pytest.mark.parametrize(
@@ -293,6 +310,26 @@ def test_a_step_may_be_a_program_or_a_function(programs: Callable[..., Path], ca
     assert main(["station", str(programs(1.4)), "--unit", "RLG 7", "--quiet"]) == 6
 
 
+def test_a_program_killed_behind_its_answer_is_not_run_again(
+    programs: Callable[..., Path], tmp_path: Path
+) -> None:
+    counted = CHECKS.replace("    print(", "    open('runs.txt', 'a').write('x')\n    print(")
+    plan = read_campaign(programs(checks=counted), "RLG 7")
+    outcome = conduct(plan, Progress(quiet=True))
+    journal = outcome.directory / "test.jsonl"
+    lines = journal.read_text().splitlines()
+    place = next(n for n, line in enumerate(lines) if '"step_ended"' in line)
+    journal.write_text("\n".join(lines[:place]) + "\n")  # killed before the journal told it
+    run = outcome.steps[0].run
+    assert run is not None
+    with RunWriter(run) as writer:
+        writer.save_facts({"outcome": None, "ended_at": None})
+    again = conduct(plan, Progress(quiet=True), resumed=outcome.directory)
+    assert again.verdict == outcome.verdict == "PASS"
+    assert again.steps[0].limits == outcome.steps[0].limits
+    assert (tmp_path / "runs.txt").read_text() == "x"
+
+
 @pytest.mark.parametrize(
     ("checks", "code", "said"),
     [
@@ -332,6 +369,7 @@ def test_a_program_that_fails_is_the_bench(
     [
         ('function = "checks.py:leak"', "", "give either command or function"),
         ('function = "checks.py:leak"', 'function = "check.py:leak"', "is no FILE.py:NAME in its folder"),
+        ('function = "checks.py:leak"', 'command = "leek --unit {unit}"', "'leek' is not found on this computer"),
         ("say.py", "'say.py", "No closing quotation"),
         ('number = "leak_rate"', 'number = "leak_rat"', "did you mean leak_rate?"),
         ('pressure = "Pa"', 'pressure_u = "Pa"', "is the name of an uncertainty"),

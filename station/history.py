@@ -130,12 +130,7 @@ def history_csv(tests: Iterable[PastTest], number: str = "") -> str:
     names, nothing = ("number", "value", "u", "at_least", "at_most"), ("", *(None,) * 4)
     rows = []
     for test in tests:
-        told = (
-            *(test.unit, test.unit_type, test.is_reference, test.at),
-            test.campaign,
-            test.verdict,
-            test.operator,
-        )
+        told = (test.unit, test.unit_type, test.is_reference, test.at, test.campaign, test.verdict, test.operator)
         for of in [one for one in test.numbers if number in one.name] or (None,):
             said = (of.name, of.value, of.u if math.isfinite(of.u) else None, *of.limits) if of else nothing
             rows.append(dict(zip((*about, *names), (*told, str(test.path), *said), strict=True)))

@@ -5,7 +5,6 @@ from __future__ import annotations
 import copy
 import difflib
 import hashlib
-import itertools
 import re
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
@@ -21,7 +20,6 @@ from station.campaign.bench import CONTROLLER_OF, controllers_of
 from station.campaign.journal import CampaignPlan, InstrumentCard, PlannedStep, ReferenceUnit
 from station.errors import SettingsError
 from station.measurements import MEASUREMENTS, Measurement, measurement
-from station.results.quantity import limit_names
 from station.results.verdict import RESULT, Limit
 from station.settings import (
     Finite,
@@ -175,12 +173,13 @@ def _known(values: Mapping[str, Any], model: type[BaseModel]) -> dict[str, Any]:
 def _steps(
     reading: _FileReading, campaign: CampaignFile, kinds: Mapping[str, Measurement[Any, Any]], unit: str
 ) -> Iterator[PlannedStep]:
-    before: dict[str, tuple[str, ...]] = {}
+    before: dict[str, Mapping[str, str]] = {}
     for place, step in enumerate(campaign.step):
         kind = kinds[step.measurement]
         shared = merged(campaign.bench, campaign.unit.get(unit, {}))
         settings = _settings(reading, place, step, kind, shared, unit)
-        gives = limit_names(kind.quantities_in({} if settings is None else settings.model_dump()))
+        declared = kind.quantities_in({} if settings is None else settings.model_dump())
+        gives = {one.limit_name: one.text_of_unit for group in declared for one in group.quantities if one.limit}
         limits = tuple(_limits(reading, place, step, gives, campaign, before))
         repeats = [
             f", {repeat} of {step.repeat}" if step.repeat > 1 else "" for repeat in range(1, step.repeat + 1)
@@ -257,11 +256,9 @@ def _settings(
 
 def _is_written(values: Any, place: Sequence[str]) -> bool:
     for name in place:
-        if isinstance(values, list):
-            values = values[int(name)] if name.isdecimal() and int(name) < len(values) else None
-        else:
-            values = values.get(name) if isinstance(values, dict) else None
-        if values is None:
+        try:
+            values = values[int(name)] if isinstance(values, list) else values[name]
+        except (KeyError, IndexError, TypeError, ValueError):
             return False
     return True
 
@@ -270,9 +267,9 @@ def _limits(
     reading: _FileReading,
     place: int,
     step: StepSection,
-    gives: tuple[str, ...],
+    gives: Mapping[str, str],
     campaign: CampaignFile,
-    before: Mapping[str, tuple[str, ...]],
+    before: Mapping[str, Mapping[str, str]],
 ) -> Iterator[Limit]:
     for number, one in enumerate(step.limit):
         above = ("step", str(place), "limit", str(number))
@@ -290,6 +287,9 @@ def _limits(
                     reading.tell((*above, name), f"no step before is {named!r}: {known}")
                 elif other not in (its := before.get(named, gives)):
                     reading.tell((*above, name), _no_such_number(other, named or step.name, its))
+                elif name == "less" and its[other] != gives.get(one.number, its[other]):
+                    text = f"is in {its[other] or 'no unit'}, and {one.number} in {gives[one.number] or 'no unit'}"
+                    reading.tell((*above, name), f"{text}: only over goes")
         rule = one.guard_band or campaign.campaign.guard_band
         limit = Limit(one.number, one.at_least, one.at_most, rule, one.highest_risk_percent / 100, **of)
         if limit.rule != "none" and _END_OF_INTERVAL.search(limit.number):
@@ -298,7 +298,7 @@ def _limits(
         yield limit
 
 
-def _no_such_number(number: str, step: str, gives: tuple[str, ...]) -> str:
+def _no_such_number(number: str, step: str, gives: Mapping[str, str]) -> str:
     like = difflib.get_close_matches(number, gives, 1)
     hint = f"did you mean {like[0]}?" if like else f"it gives {', '.join(gives)}"
     return f"{number!r} is no number that the step {step!r} gives: {hint}"
@@ -310,11 +310,6 @@ def _seed(values: dict[str, Any], unit: str, place: int, repeat: int) -> None:
     if isinstance(simulation, dict) and isinstance(simulation.get("seed"), int):
         own = zlib.crc32(f"{unit}/{place}/{repeat}".encode())
         simulation["seed"] = (simulation["seed"] + own) % 2**31
-
-
-def units_named(path: Path) -> list[str]:
-    """Return the serial numbers that a campaign file says something of."""
-    return list(itertools.islice(read_toml(path).get("unit", {}), 1000))
 
 
 # --------------------

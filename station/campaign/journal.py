@@ -322,17 +322,8 @@ class Written:
         if not self.ended_at:
             failure = Failure("interrupted", "cut short: the program was killed or the power failed", 130)
         steps = tuple(self.steps[step.key] for step in self.plan.steps if step.key in self.steps)
-        return CampaignOutcome(
-            self.plan,
-            self.operator,
-            self.note,
-            self.directory,
-            self.started_at,
-            self.ended_at,
-            steps,
-            failure,
-            self.resumed_at,
-        )
+        known = self.plan, self.operator, self.note, self.directory, self.started_at, self.ended_at
+        return CampaignOutcome(*known, steps, failure, self.resumed_at)
 
 
 def to_repeat(outcome: StepOutcome) -> bool:

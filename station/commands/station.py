@@ -62,10 +62,12 @@ def command(file: Path, **given: Any) -> int:
     Exit codes: 0 PASS or no limits, 1 FAIL, 6 MARGINAL (a limit lies within the uncertainty); of ERROR and ABORTED
     that of what happened: 3 instrument or link, 4 no usable signal, 5 disk, 130 interrupted, 143 terminated.
     """
-    from station.campaign.file import read_campaign, units_named
+    from station.campaign.file import read_campaign
 
     if given["check"]:
-        units = [given["unit"]] if given["unit"] else [*units_named(file), "any other unit"]
+        from station.settings import read_toml
+
+        units = [given["unit"]] if given["unit"] else [*read_toml(file).get("unit", {}), "any other unit"]
         return _checked(file, [read_campaign(file, unit) for unit in units], given["as_json"])
     if given["loop"]:
         return _loop(file, given)

@@ -1,10 +1,11 @@
 """What two results make together, a difference or a ratio, with what both share counted once.
 
     y = a - b    u(y)^2 = u(a)^2 + u(b)^2 - 2 sum_k c_k(a) c_k(b)
-    y = a / b    the same with contributions relative to a and b, times y^2
+    y = a / b    u(y)^2 = (u(a)^2 + y^2 u(b)^2 - 2 y sum_k c_k(a) c_k(b)) / b^2
 
 c_k(a) is what the input k contributes to a, with its sign: scale factor, time base, table and channel are one and
-the same in two runs of a bench. Source: JCGM 100:2008, 5.2.2, equation (16), such inputs with correlation 1.
+the same in two runs of a bench. Source: JCGM 100:2008, 5.2.2, equation (16), such inputs with correlation 1. The
+interval of a ratio is Fieller's (Biometrika 41, 175, 1954): wide, or none, where b is hardly known to be not 0.
 """
 
 import math
@@ -22,6 +23,9 @@ _OF_THE_BENCH = {
 """Lines of a budget that are constants of the unit, and of the bench; every other is of a run, distortion too."""
 
 
+_K95 = 1.96
+
+
 @dataclass(frozen=True)
 class BudgetedValue:
     """A number, and what each input contributes to it that another run may have too."""
@@ -33,15 +37,18 @@ class BudgetedValue:
 
 def derived(form: Literal["less", "over"], first: BudgetedValue, second: BudgetedValue) -> Value:
     """The first number less the second, or over it; a ratio to zero is nan."""
-    a, b = first.value, second.value
-    ratio = form == "over"
-    value = (a.value / b.value if b.value else math.nan) if ratio else a.value - b.value
-    by_a, by_b = (1 / a.value, 1 / b.value) if ratio and a.value and b.value else (1.0, 1.0)
+    a, b, u_a, u_b = first.value, second.value, _u(first.value), _u(second.value)
     both = sum(first.shared[one] * second.shared[one] for one in shared_inputs(first, second))
-    variance = (_u(a) * by_a) ** 2 + (_u(b) * by_b) ** 2 - 2 * both * by_a * by_b
-    u = (abs(value) if ratio else 1.0) * math.sqrt(max(variance, 0.0))
-    of_same = not ratio and a.unit == b.unit
-    return Value(value, a.unit if of_same else "", value - 1.96 * u, value + 1.96 * u, a.of, u, a.quantity)
+    if form == "less":
+        value, u = a.value - b.value, math.sqrt(max(u_a**2 + u_b**2 - 2 * both, 0.0))
+        return Value(value, a.unit, value - _K95 * u, value + _K95 * u, a.of, u, a.quantity)
+    value = a.value / b.value if b.value else math.nan
+    variance, slope = u_a**2 + value**2 * u_b**2 - 2 * value * both, both / u_b**2 if u_b else 0.0
+    far = (_K95 * u_b / b.value) ** 2 if b.value else math.inf  # 1: b may be 0, and nothing bounds the ratio
+    middle = (value - far * slope) / (1 - far) if far < 1 else math.nan
+    reach = math.sqrt(max(variance - far * (u_a**2 - slope * both), 0.0)) * _K95 / abs(b.value or 1) / abs(1 - far)
+    u = math.sqrt(max(variance, 0.0)) / abs(b.value or 1)
+    return Value(value, "", middle - reach, middle + reach, a.of, u, a.quantity)
 
 
 def derived_values(

@@ -81,6 +81,11 @@ class Quantity:
         return name.replace("_", " ").replace("lock in", "lock-in")
 
     @property
+    def text_of_unit(self) -> str:
+        """Its unit as a person reads it."""
+        return UNITS.get(self.unit, self.shown)
+
+    @property
     def limit_name(self) -> str:
         """What [limits] call it; empty where they may not."""
         return self.limit if isinstance(self.limit, str) else self.key() if self.limit else ""
@@ -124,7 +129,7 @@ class Quantity:
             low, high = (
                 (value - _COVERAGE * u, value + _COVERAGE * u) if math.isfinite(u) else (math.nan, math.nan)
             )
-        return Value(value, UNITS.get(self.unit, self.shown), low, high, of, u, self)
+        return Value(value, self.text_of_unit, low, high, of, u, self)
 
 
 _NUMBERS = ("value", "u", "low_95", "high_95")

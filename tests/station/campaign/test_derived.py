@@ -71,6 +71,26 @@ def test_what_both_share_counts_once(form: Literal["less", "over"]) -> None:
     assert together.unit == ("deg/s" if form == "less" else "")
 
 
+@pytest.mark.parametrize("known", [0.01, 0.2, 0.4, 0.6])
+def test_the_interval_of_a_ratio_to_what_is_hardly_known(known: float) -> None:
+    """Against draws, also where the interval is far from symmetric; where b may be 0 there is none."""
+    rng = np.random.default_rng(8)
+    true_a, true_b, own, shared = 3.0, 2.0, 0.1, 0.05
+    covered, bounded = [], 0
+    for _ in range(1500):
+        common = shared * rng.normal()
+        a = document(true_a + own * rng.normal() + 3 * common, own, line("time_base", 3.0, shared))
+        drawn = true_b + known * true_b * rng.normal() + common
+        b = document(drawn, known * true_b, line("time_base", 1.0, shared))
+        first, second = (next(budgeted_values(one, DECLARED, "lock_in_rate_dps")) for one in (a, b))
+        found = derived("over", first, second)
+        bounded += found.uncertain
+        assert found.uncertain or abs(second.value.value) < 1.97 * second.value.u
+        covered.append(not found.uncertain or found.low_95 <= true_a / true_b <= found.high_95)
+    assert 0.93 < np.mean(covered) < 0.98  # where nothing is bounded nothing is missed
+    assert (bounded > 1490) == (known < 0.3)
+
+
 @pytest.mark.parametrize(
     "other",
     [
@@ -223,6 +243,11 @@ def test_what_an_unlucky_step_asks_for_is_not_left_out(campaign: Write) -> None:
         ('less = "first"', 'less = "warm: lock_in_rate_dps"', "no step before is 'warm': there are first"),
         ('over = "first: lock_in_rate_dps"', 'over = "first: lock_in_rat_dps"', "did you mean lock_in_rate_dps?"),
         ('less = "first"', 'less = "first"\nover = "first"', "not on both"),
+        (
+            'less = "first"',
+            'less = "first: noise_rms_v"',
+            "is in V, and lock_in_rate_dps in deg/s: only over goes",
+        ),
         (
             'name = "warm"',
             'name = "warm"\nonly_if = { step = "last", verdict = ["FAIL"] }',

@@ -123,6 +123,8 @@ class Result:
 
     def _record(self, wanted: int | str | None) -> Record:
         names = [record.name for record in self.run.records]
+        if not names:
+            raise UsageError(f"{self.run.path}: holds no record to draw")
         if isinstance(wanted, str):
             if wanted not in names:
                 raise UsageError(f"there is no record {wanted!r}; there are {', '.join(names)}")

@@ -72,6 +72,8 @@ class TakenRun(Run):
         self._saved, facts, kind, self._method = saved, saved.facts, kind_of(saved), dict(method or {})
         self.purposes = tuple(dict.fromkeys(record.purpose for record in saved.records))
         own = [facts.command] if facts.command in self.purposes else self.purposes
+        if kind.declared:  # the answer of a program is no record of an instrument
+            own = ()
         records: list[Record] = []
         damaged: list[str] = []
         for purpose in own:

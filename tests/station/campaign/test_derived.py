@@ -9,6 +9,7 @@ from typing import Any, Literal
 import numpy as np
 import pytest
 
+import gyrolock
 from station.campaign.conduct import conduct
 from station.campaign.file import read_campaign
 from station.campaign.journal import CampaignOutcome, read_journal
@@ -330,6 +331,14 @@ def test_a_step_may_be_a_program_or_a_function(programs: Callable[..., Path], ca
     assert main(["analyze", str(next(folder.glob("runs/01*/*"))), "--json"]) == 0
     document = json.loads(capsys.readouterr().out.splitlines()[-1])
     assert (document["leak_rate"], document["leak_rate_u"], document["pressure"]) == (1.5, 0.1, 3)
+    run = gyrolock.read(next(folder.glob("runs/01*/*")))
+    assert (len(run), run.result().value, run.result().u) == (0, 1.5, 0.1)
+    assert list(run.result().to_dataframe()["name"]) == ["leak_rate", "pressure"]
+    with pytest.raises(UsageError, match="no record"):
+        run.result().plot()
+    assert main(["export", str(folder / "runs"), "--to", str(tmp_path / "all.npz")]) == 0
+    assert main(["analyze", str(tmp_path / "all.npz"), "--jsonl"]) == 0
+    assert '"leak_rate": 1.5' in capsys.readouterr().out
     assert main(["runs", str(folder)]) == 0
     assert "1.50 ± 0.20 Pa m3/s" in capsys.readouterr().out
     assert main(["station", str(programs(1.4)), "--unit", "RLG 7", "--quiet"]) == 6

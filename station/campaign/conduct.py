@@ -134,11 +134,12 @@ class _Conducting:
         return journal, self.before.started_at
 
     def _go_through(self, journal: Journal) -> None:
-        warm, stopped = 0.0, False
+        warm = 0.0
         with self._surroundings() as surroundings:
             for place, step in enumerate(self.plan.steps):
                 warm = max(warm, step.warm_up_s)
-                due = step.is_due(self.done.values()) and not (stopped and step.only_if is None)
+                ended = {one.verdict for one in self.done.values()} if self.plan.stop_after_failure else set()
+                due = step.is_due(self.done.values()) and (step.only_if is not None or not ended & {FAIL, ERROR})
                 if step.key in self.done or not due:
                     continue
                 wait = Wait(self.progress, skipped=self.plan.simulated)
@@ -147,7 +148,6 @@ class _Conducting:
                     one.key not in self.done for one in self.plan.steps[:place]
                 )
                 self._one(journal, step, surroundings, wait, warm if again else step.warm_up_s)
-                stopped |= self.plan.stop_after_failure and self.done[step.key].verdict in (FAIL, ERROR)
 
     @contextmanager
     def _surroundings(self) -> Iterator[Environment]:

@@ -78,7 +78,8 @@ def shared_inputs(first: BudgetedValue, second: BudgetedValue) -> list[tuple[str
 
 def _shared(budget: Any, value: Value, document: Mapping[str, Any]) -> dict[tuple[str, str, Any], float]:
     """What constants of a named unit and of a known bench contribute to the number that a budget is of."""
-    unit, scope = document.get("unit") or "", (document.get("instrument") or {}).get("serial") or ""
+    # every scope of the first models says 0 for its serial number
+    unit, scope = document.get("unit") or "", ((document.get("instrument") or {}).get("serial") or "").strip("0")
     found: dict[tuple[str, str, Any], float] = {}
     for line in budget["inputs"] if isinstance(budget, dict) else ():
         name = line["name"]

@@ -18,6 +18,7 @@ from station.campaign.record import write_record
 from station.campaign.verify import verify
 from station.cli import main
 from station.errors import SettingsError, UsageError
+from station.lock_in import take as lock_in_take
 from station.results.derived import budgeted_values, derived
 from station.results.quantity import Quantity, QuantityGroup
 from station.runs.progress import Progress
@@ -98,10 +99,16 @@ def test_the_interval_of_a_ratio_to_what_is_hardly_known(known: float) -> None:
         document(0.01, 1e-5, line("scale_factor", -5.0, 1e-4), unit="B"),  # K of another unit
         document(0.01, 1e-5, line("scale_factor", -5.0, 1e-4, value=1.1)),  # another K
         document(0.01, 1e-5, line("distortion", -5.0, 1e-4)),  # goes with the size of the beat
+        {
+            **document(0.01, 1e-5, line("time_base", -5.0, 1e-4)),
+            "instrument": {"serial": "0"},
+        },  # that of every TDS
     ],
 )
 def test_what_may_differ_is_not_shared(other: dict[str, Any]) -> None:
-    mine = document(0.01, 1e-5, line("scale_factor", -5.0, 1e-4), line("distortion", -5.0, 1e-4))
+    names = ("scale_factor", "distortion", "time_base")
+    mine = document(0.01, 1e-5, *(line(name, -5.0, 1e-4) for name in names))
+    mine["instrument"] = other["instrument"]
     a, b = (next(budgeted_values(one, DECLARED, "lock_in_rate_dps")) for one in (mine, other))
     assert derived("less", a, b).u == pytest.approx(np.hypot(a.value.u, b.value.u))
 
@@ -418,3 +425,25 @@ def test_a_program_that_cannot_be_is_told(programs: Callable[..., Path], old: st
     with pytest.raises(SettingsError) as told:
         read_campaign(file, "RLG 7")
     assert said in str(told.value)
+
+
+def test_what_a_failure_leaves_out_stays_out_when_the_test_is_gone_on_with(
+    campaign: Write, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = campaign(("attempts = 3", "attempts = 1\nstop_after_failure = true"), steps=1, more=f"{SECOND}{LONGER}")
+    take = lock_in_take.take_record
+    count = 0
+
+    def taken(*arguments: Any) -> Any:
+        nonlocal count
+        count += 1
+        if count > 4:  # the records of the first step: two for the tilt, two at each rate
+            raise KeyboardInterrupt
+        return take(*arguments)
+
+    monkeypatch.setattr(lock_in_take, "take_record", taken)
+    cut = outcome_of(file, "BAD")
+    assert [one.step.name for one in cut.steps if one.verdict != "ABORTED"] == ["first"], count
+    monkeypatch.setattr(lock_in_take, "take_record", take)
+    whole = outcome_of(file, "BAD", resumed=cut.directory)
+    assert [one.step.name for one in whole.steps] == ["first", "why"]

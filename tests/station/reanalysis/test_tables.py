@@ -6,6 +6,7 @@ import shutil
 import sqlite3
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,10 +14,12 @@ import pytest
 
 from station.cli import main
 from station.errors import CannotWrite, RunError, UsageError
+from station.lock_in.quantities import QUANTITIES
 from station.reanalysis import parquet_table  # its schema holds the version: not first imported in a changed one
 from station.reanalysis.analyze_table import KINDS, Filled, fill_table, table_file
 from station.reanalysis.compare import compare, read_records, with_headlines
 from station.reanalysis.table_file import ORDER, only_writer
+from station.results.derived import budgeted_values
 from station.runs.progress import Progress
 from station.runs.store import NewRecord, RunWriter, open_run
 from station.sources.find import find_sources
@@ -230,11 +233,20 @@ def test_runs_are_compared_by_their_results_with_every_input_counted(tree: Path)
     results = [json.loads((GOLDEN / f"{name}.json").read_text()) for name in ("single", "channel")]
     us = [result["lock_in_rate_u_dps"] for result in results]
     assert (one.mean_first_u, one.mean_second_u) == pytest.approx(tuple(us), rel=1e-6)
-    # what the one time base contributes to each cancels; no unit is named, so K may be of two
-    (first, second) = ({line["name"]: line for line in result["budget"]["inputs"]} for result in results)
-    both = first["time_base"]["contribution_dps"] * second["time_base"]["contribution_dps"]
-    assert one.difference_u == pytest.approx(math.sqrt(us[0] ** 2 + us[1] ** 2 - 2 * both), rel=1e-6)
-    assert document["sentences"][0].endswith("what both share cancels (time base).")
+    # no unit is named, and a scope of this model always says 0 for its serial number: nothing need be in both
+    assert one.difference_u == pytest.approx(math.hypot(*us), rel=1e-6)
+    assert document["sentences"][0].endswith("no input of a named unit or oscilloscope is in both.")
+    named = []
+    for side, result in zip(with_headlines(single, channel, ThisProcess()), results, strict=True):
+        told = {**result, "unit": "RLG-7", "instrument": {"serial": "C010203"}}
+        named.append(replace(side, headline=next(budgeted_values(told, QUANTITIES, "lock_in_rate_dps"))))
+    shared = compare(*named)
+    assert shared.shared == ("gain_corner", "scale_factor", "time_base")
+    lines = [result["budget"]["inputs"] for result in results]
+    inputs = [{line["name"]: line["contribution_dps"] for line in of_result} for of_result in lines]
+    both = sum(inputs[0][name] * inputs[1][name] for name in shared.shared)
+    expected = math.sqrt(us[0] ** 2 + us[1] ** 2 - 2 * both)
+    assert shared.differences[0].difference_u == pytest.approx(expected, rel=1e-6)
     assert document["counted"] == "every input"
     # what noise alone says is kept apart
     assert found.by_noise is not None and found.by_noise.difference_u < one.difference_u

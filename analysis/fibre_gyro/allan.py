@@ -462,7 +462,7 @@ def _passed(omega: Floats, corner: float) -> Floats:
 def _spectrum(values: Floats, width: int, highest: float) -> tuple[Floats, Floats, Floats]:
     """Angular frequency, mean power of the increments, number of independent values, above the blocks' own."""
     lowest, highest = np.pi / width if width > 1 else np.pi / 8, min(highest, np.pi)
-    if highest < _WIDEST * lowest:
+    if highest < min(np.pi, _WIDEST * lowest):
         raise ValueError("the output is filtered so slowly that a log so short does not show its fast noise")
     edges = np.linspace(lowest, highest, _BINS + 1)
     power, place, number = np.zeros(_BINS), np.zeros(_BINS), np.zeros(_BINS)

@@ -336,14 +336,9 @@ def deadband(paths: tuple[Path, ...], **given: Any) -> int:
 
 # file of defaults: the measurement that reads it
 _FILES = {"simulated": "measure", "bench": "measure", "dead_band": "deadband", "fibre_gyro": "table"}
-_OTHERS = {
-    "campaign": "campaign",
-    "rate_table": "controllers/rate_table",
-    "acutrol": "controllers/acutrol",
-    "ideal_aerosmith": "controllers/ideal_aerosmith",
-    "chamber": "controllers/chamber",
-    "power_supply": "controllers/power_supply",
-}
+_FILES |= {"program": "program"}
+_CONTROLLERS = ("rate_table", "acutrol", "ideal_aerosmith", "chamber", "power_supply")
+_OTHERS = {"campaign": "campaign", **{name: f"controllers/{name}" for name in _CONTROLLERS}}
 _NAMES = [*_FILES, *_OTHERS]
 
 
@@ -355,8 +350,9 @@ _NAMES = [*_FILES, *_OTHERS]
 def settings_command(name: str, schema: bool, config: Path | None, as_json: bool) -> int:
     """Print a commented settings file to copy: `simulated` for the simulated bench, `bench` for a real one.
 
-    `dead_band` is that of `gyrolock deadband`, `campaign` that of `gyrolock station`; `rate_table`, `chamber` and
-    `power_supply` are templates of controllers, `acutrol` and `ideal_aerosmith` those of two kinds of rate tables.
+    `dead_band` is that of `gyrolock deadband`, `campaign` that of `gyrolock station`, `program` that of a step
+    that is a program of yours; `rate_table`, `chamber` and `power_supply` are templates of controllers, `acutrol`
+    and `ideal_aerosmith` those of two kinds of rate tables.
     With --json, or with --config FILE, the values that would be used are printed instead of the file.
     """
     from station.settings import read_toml, shipped_settings

@@ -364,4 +364,7 @@ def html_table(caption: str, rows: Rows) -> str:
 
 def data_frame(rows: Iterable[Mapping[str, Any]]) -> Any:
     """Return a pandas.DataFrame of plain JSON objects; what lies deeper goes by ``outer.inner``."""
-    return package("pandas").json_normalize([dict(row) for row in rows])
+    frame, times = package("pandas").json_normalize([dict(row) for row in rows]), "taken_at"
+    if times in frame:
+        frame[times] = package("pandas").to_datetime(frame[times], utc=True, errors="coerce", format="ISO8601")
+    return frame

@@ -206,3 +206,13 @@ def test_records_of_what_is_not_one_run_are_not_left_out(
 def test_records_that_cannot_be_meant_are_refused(given: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["analyze", str(GOLDEN / "single.sqlite"), "--exclude", given]) == 2
     assert "exclude" in capsys.readouterr().err
+
+
+def test_a_frame_has_times_and_not_texts(tmp_path: Path) -> None:
+    pandas = pytest.importorskip("pandas", reason="the extra `data` is not installed")
+    run = gyrolock.open_run(shutil.copy(GOLDEN / "single.sqlite", tmp_path / "run.sqlite"))
+    taken = run.to_dataframe()["taken_at"]
+    assert isinstance(taken.dtype, pandas.DatetimeTZDtype)
+    assert [one.isoformat(timespec="milliseconds") for one in taken] == [
+        record.taken_at.replace("Z", "+00:00") for record in run
+    ]

@@ -121,9 +121,7 @@ def examine_campaign(plan: CampaignPlan) -> list[Check]:
     checks = [Check("campaign", "ok", summary), *far, disk_space(plan), *_clock(plan)]
     today = datetime.now(UTC).date()
     checks += [_calibration(card, today) for card in plan.instruments]
-    looked: list[Check] = []
-    for found in _benches(plan):
-        looked += found
+    looked = [check for found in _benches(plan) for check in found]
     return [*checks, *looked, *_identities(plan.instruments, looked), *_unfinished(plan)]
 
 

@@ -335,8 +335,8 @@ def deadband(paths: tuple[Path, ...], **given: Any) -> int:
 
 
 # file of defaults: the measurement that reads it
-_FILES = {"simulated": "measure", "bench": "measure", "dead_band": "deadband", "fibre_gyro": "table"}
-_FILES |= {"program": "program"}
+_FILES = {"simulated": "measure", "bench": "measure", "dead_band": "deadband"}
+_FILES |= {"fibre_gyro": "table", "program": "program"}
 _CONTROLLERS = ("rate_table", "acutrol", "ideal_aerosmith", "chamber", "power_supply")
 _OTHERS = {"campaign": "campaign", **{name: f"controllers/{name}" for name in _CONTROLLERS}}
 _NAMES = [*_FILES, *_OTHERS]

@@ -24,6 +24,7 @@ _OF_THE_BENCH = {
 
 
 _K95 = 1.96
+Form = Literal["less", "over"]
 
 
 @dataclass(frozen=True)
@@ -35,10 +36,13 @@ class BudgetedValue:
     shared: Mapping[tuple[str, str, Any], float]
 
 
-def derived(form: Literal["less", "over"], first: BudgetedValue, second: BudgetedValue) -> Value:
+def derived(form: Form, first: BudgetedValue, second: BudgetedValue, *, of_one: bool = False) -> Value:
     """The first number less the second, or over it; a ratio to zero is nan."""
+    # numbers `of_one` result have more in common than its budget says: the worst of it counts
     a, b, u_a, u_b = first.value, second.value, _u(first.value), _u(second.value)
     both = sum(first.shared[one] * second.shared[one] for one in shared_inputs(first, second))
+    if of_one:
+        both = -u_a * u_b * (-1 if form == "over" and a.value * b.value < 0 else 1)
     if form == "less":
         value, u = a.value - b.value, math.sqrt(max(u_a**2 + u_b**2 - 2 * both, 0.0))
         return Value(value, a.unit, value - _K95 * u, value + _K95 * u, a.of, u, a.quantity)
@@ -52,12 +56,12 @@ def derived(form: Literal["less", "over"], first: BudgetedValue, second: Budgete
 
 
 def derived_values(
-    form: Literal["less", "over"], first: Iterable[BudgetedValue], second: Iterable[BudgetedValue]
+    form: Form, first: Iterable[BudgetedValue], second: Iterable[BudgetedValue], *, of_one: bool
 ) -> list[Value]:
     """Each axis of one result with the same axis of the other; a number that has none goes with every axis."""
     others = list(second)
     fits = ((a, b) for a in first for b in others if a.value.of == b.value.of or not (a.value.of and b.value.of))
-    return [derived(form, a, b) for a, b in fits]
+    return [derived(form, a, b, of_one=of_one) for a, b in fits]
 
 
 def budgeted_values(document: Mapping[str, Any], declared: Quantities, number: str) -> Iterator[BudgetedValue]:
@@ -81,8 +85,7 @@ def _shared(budget: Any, value: Value, document: Mapping[str, Any]) -> dict[tupl
     # every scope of the first models says 0 for its serial number
     unit, scope = document.get("unit") or "", ((document.get("instrument") or {}).get("serial") or "").strip("0")
     found: dict[tuple[str, str, Any], float] = {}
-    for line in budget["inputs"] if isinstance(budget, dict) else ():
-        name = line["name"]
+    for line, name in ((one, one["name"]) for one in (budget or {}).get("inputs", ())):
         whose = unit if name in _OF_THE_UNIT else scope if name in _OF_THE_BENCH else ""
         if whose:
             by_unit = line.get("sensitivity_dps_per_unit")

@@ -232,8 +232,8 @@ def judged(
             step, _, number = (limit.less or limit.over).rpartition(": ")
             other, declared = steps.get(step, ({}, ())) if step else (document, result.quantities)
             own = budgeted_values(document, result.quantities, limit.number)
-            form: Literal["less", "over"] = "less" if limit.less else "over"
-            values = derived_values(form, own, budgeted_values(other, declared, number))
+            others = budgeted_values(other, declared, number)
+            values = derived_values("less" if limit.less else "over", own, others, of_one=not step)
             reasons = tuple(f"{step}: {one}" for one in other.get("standing_reasons", ())) if step else ()
             standings.append(Validity(other.get("standing", "fails") if step else "stands", reasons))
         values = values or [Value(math.nan, quantity=Quantity(limit.number))]

@@ -188,6 +188,24 @@ def test_a_difference_holds_as_far_as_both_do(standing: str | None, reasons: lis
     assert own.measured.value == 1.0
 
 
+@pytest.mark.parametrize(("form", "sign"), [("less", 1), ("over", 1), ("over", -1)])
+@pytest.mark.parametrize("correlation", [-1.0, 0.0, 1.0])
+def test_two_numbers_of_one_result_may_go_together_in_any_way(
+    form: Literal["less", "over"], sign: int, correlation: float
+) -> None:
+    rng = np.random.default_rng(2)
+    one, other = rng.normal(size=(2, 50_000))
+    other = correlation * one + np.sqrt(1 - correlation**2) * other
+    a, b = 3 + 0.01 * one, sign * (2 + 0.02 * other)
+    drawn = a - b if form == "less" else a / b
+    values = (document(3.0, 0.01), document(sign * 2.0, 0.02))
+    first, second = (next(budgeted_values(value, DECLARED, "lock_in_rate_dps")) for value in values)
+    u = derived(form, first, second, of_one=True).u
+    assert u > 0.99 * drawn.std()
+    if correlation == -1.0 and sign == 1:
+        assert u == pytest.approx(drawn.std(), rel=0.02)
+
+
 ONLY_IF = 'only_if = {{ step = "{}", verdict = ["{}"] }}'
 LONGER = """
 [[step]]

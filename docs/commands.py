@@ -30,7 +30,7 @@ def _parts(command: click.Command, context: click.Context) -> Iterator[str]:
     subcommand = ["COMMAND"] if isinstance(command, click.Group) else []
     yield "    " + " ".join([context.command_path, "[OPTIONS]", *arguments, *subcommand])
     yield inspect.cleandoc(command.help or "")
-    options = [option for option in command.params if isinstance(option, click.Option)]
+    options = [option for option in command.params if isinstance(option, click.Option) and not option.hidden]
     if options:
         yield "\n".join(["| option | |", "|---|---|", *map(_row, options)])
     if isinstance(command, click.Group):

@@ -36,10 +36,17 @@ def prints(what: str) -> bool:
     return context is not None and bool(context.meta.get(what))
 
 
-def say(text: str) -> None:
-    """Print lines to stdout."""
-    sys.stdout.write(f"{visible(text)}\n")
-    sys.stdout.flush()
+def say(text: str, *, answer: bool = False) -> None:
+    """Print lines to stdout; with ``--quiet`` only the one that is the `answer`."""
+    if answer or not prints(PRINTS_ONE_LINE):
+        sys.stdout.write(f"{visible(text)}\n")
+        sys.stdout.flush()
+
+
+def say_briefly(text: str) -> None:
+    """Print with ``--quiet`` only: the line that stands for tables."""
+    if prints(PRINTS_ONE_LINE):
+        say(text, answer=True)
 
 
 def remark(text: str) -> None:
@@ -52,7 +59,7 @@ def print_json(document: Mapping[str, Any]) -> None:
     """Print one JSON document; null stands for what is not finite."""
     from station.results.result import plain  # needs NumPy
 
-    say(json.dumps(plain(document), allow_nan=False))
+    say(json.dumps(plain(document), allow_nan=False), answer=True)
 
 
 class JsonResults:

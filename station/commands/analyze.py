@@ -204,7 +204,7 @@ class Analysis:
         if answer.as_json:
             print_json(done.document())
         else:
-            say(f"{done.records} records of {done.sources} sources in {done.table}")
+            say(f"{done.records} records of {done.sources} sources in {done.table}", answer=True)
             if done.known:
                 say(f"{done.known} sources were there already")
             if done.left_out:
@@ -281,8 +281,7 @@ class Analysis:
                     word = "not read" if analyzed is None else analyzed.result.quality.partition(":")[0]
                     tally[word] += 1
                 elif analyzed is not None:
-                    if not prints(PRINTS_ONE_LINE):
-                        say(f"{source}")
+                    say(f"{source}")
                     _print(analyzed)
                 if failure is not None:
                     print_failure(failure)
@@ -290,7 +289,10 @@ class Analysis:
                 results.print()
         if listed:
             said = ", ".join(f"{count} {word}" for word, count in tally.items())
-            say(f"{len(self.sources)} sources: {said}. Details: --full; one result: --combine; a table: --to FILE")
+            more = (
+                "" if prints(PRINTS_ONE_LINE) else ". Details: --full; one result: --combine; a table: --to FILE"
+            )
+            say(f"{len(self.sources)} sources: {said}{more}", answer=True)
         # what could not be read at all (2) comes before what holds no result (4)
         return min(exit_codes, default=exit_code_of(worst(verdicts)))
 
@@ -380,5 +382,5 @@ def _print(analyzed: Evaluated | AnalyzedFiles) -> None:
         print_result(analyzed)
         return
     print_values(analyzed.result, analyzed.tested)
-    for line in () if prints(PRINTS_ONE_LINE) else analyzed.taken_with():
+    for line in analyzed.taken_with():
         say(line)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,7 +12,7 @@ import click
 
 from station.errors import EXIT_FAIL, EXIT_OK, EXIT_OUTPUT, UsageError, one_line
 from station.shell.options import json_option, unused_config_option
-from station.terminal import print_json, remark, say
+from station.terminal import PRINTS_ONE_LINE, print_json, prints, remark, say, say_briefly
 
 if TYPE_CHECKING:
     from station.history import ControlSeries, PastTest
@@ -124,7 +125,7 @@ def runs_command(
     if as_json:
         print_json({"schema": SCHEMA, "directory": str(directory), "runs": [entry.as_json() for entry in shown]})
     elif as_csv:
-        say(runs_csv(shown).rstrip("\n"))
+        say(runs_csv(shown).rstrip("\n"), answer=True)
     else:
         _print(runs_table(shown, directory), len(shown), len(found), len(entries), directory)
         if folded and not empty:
@@ -160,7 +161,8 @@ def _print(table: Any, shown: int, found: int, there: int, directory: Path) -> N
     from station.live.console import PlainConsole
     from station.report.show import text_table
 
-    if shown:
+    say_briefly(f"{found} of {there} runs")
+    if shown and not prints(PRINTS_ONE_LINE):
         # a pipe has no width: nothing is cut off there
         width = None if sys.stdout.isatty() else max(200, shutil.get_terminal_size().columns)
         PlainConsole(width=width).print(text_table(table, left=len(table.header)))
@@ -244,7 +246,7 @@ def history_command(
         except OSError as error:
             lost = one_line(error)
     if as_csv:
-        say(history_csv(tests, number or "").replace("\r\n", "\n").rstrip("\n"))
+        say(history_csv(tests, number or "").replace("\r\n", "\n").rstrip("\n"), answer=True)
     elif as_json:
         print_json(_document(directory, tests, charts, unreadable, written))
     else:
@@ -262,6 +264,8 @@ def _print_history(tests: list[PastTest], charts: list[ControlSeries], written: 
     from station.results.result import TextTable
 
     console = stdout_console()
+    verdicts = Counter(one.verdict or "measured" for one in tests)
+    say_briefly(f"tests: {', '.join(f'{count} {verdict}' for verdict, count in verdicts.items())}")
     rows = [
         (one.unit, one.unit_type, one.at[:16].replace("T", " "), one.verdict or "measured", one.message)
         for one in tests

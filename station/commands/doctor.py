@@ -86,7 +86,7 @@ def doctor_command(
     if as_json:
         print_json({"ok": not bad, "checks": [asdict(check) for check in checks]})
     else:
-        say(_ready(bad))
+        say(_ready(bad), answer=True)
         for check in checks if prints(PRINTS_ALL) else [check for check in checks if check.state != "ok"]:
             say(f"{check.state:<5}{check.name:<14}{check.text}")
     return EXIT_INSTRUMENT if bad else EXIT_OK

@@ -56,7 +56,7 @@ def list_command(lan: bool, as_json: bool) -> int:
     hint = (
         "" if usable else ". `gyrolock doctor` says which links can be used here; give others by --resource NAME"
     )
-    say(f"{usable} of {len(found)} names on {looked} answer{hint}")
+    say(f"{usable} of {len(found)} names on {looked} answer{hint}", answer=True)
     return 0
 
 
@@ -125,8 +125,8 @@ def grab_command(
                 "files": [str(path) for path in files],
             }
             grabbed.append(found)
-            tell = remark if as_json else say
-            tell("; ".join(map(str, traces)) or "nothing is on the screen")
+            told = "; ".join(map(str, traces)) or "nothing is on the screen"
+            remark(told) if as_json else say(told, answer=True)
             if watch is None:
                 break
             time.sleep(watch)
@@ -269,7 +269,7 @@ def simulate_command(
             print_json({"resource": first, "resources": list(found.resource_names), **named})
         else:
             for name in (*found.resource_names, *(f"{name} {resource}" for name, resource in others.items())):
-                say(name)
+                say(name, answer=True)
         # a wait without end could not be interrupted on Windows
         while not found.wait(timeout=0.5):
             pass
@@ -291,7 +291,7 @@ def _replay(path: Path, link: str, port: int, as_json: bool) -> int:
         if as_json:
             print_json({"resource": server.resource_name, "resources": [server.resource_name]})
         else:
-            say(server.resource_name)
+            say(server.resource_name, answer=True)
         while not server.ended.wait(timeout=0.5):
             pass
     return 0

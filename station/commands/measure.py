@@ -168,7 +168,7 @@ def _end_acquire(taken: Taken, given: Mapping[str, Any]) -> int:
     elif given["jsonl"] and failure is not None:
         print_json({"error": failure.as_json()})
     elif not given["jsonl"]:
-        say(f"saved   {saved} records in {taken.path}")
+        say(f"saved   {saved} records in {taken.path}", answer=True)
     if failure is None:
         return 0
     print_failure(failure if taken.failure is None else taken.to_tell)
@@ -376,7 +376,7 @@ def settings_command(name: str, schema: bool, config: Path | None, as_json: bool
     if as_json:
         print_json(values)
     else:
-        say(shipped.read_text(encoding="utf-8").rstrip())
+        say(shipped.read_text(encoding="utf-8").rstrip(), answer=True)
     return 0
 
 

@@ -10,7 +10,7 @@ import click
 
 from station.results.numbers import AMPLITUDE, LOCK_IN_RATE
 from station.shell.options import config_option, json_option, unused_config_option
-from station.terminal import print_json, say
+from station.terminal import print_json, say, say_briefly
 
 if TYPE_CHECKING:
     from station.plan import PlannedMeasurement
@@ -148,6 +148,7 @@ def _print(planned: PlannedMeasurement, sentences: list[str], plot: Path | None)
     rates = TextTable(header, tuple(tuple(rate_words(rate)) for rate in planned.plan.rates))
     console.print(text_table(rates, left=len(header)))
     console.print()
+    say_briefly(sentences[0])
     for sentence in sentences:
         console.print(f"• {sentence}")
     console.print()
@@ -217,6 +218,7 @@ def study_command(figures: tuple[int, ...], out: Path | None, kind: str, as_json
             console.print()
         for sentence in sentences:
             console.print(f"• {sentence}")
+        say_briefly(sentences[0] if sentences else f"tables: {len(study_tables(study))}")
         for file in files:
             say(f"wrote   {file}")
     return 0

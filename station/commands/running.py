@@ -42,7 +42,7 @@ def status(watched: bool, as_json: bool) -> int:
             say("") if place else None
             _print(one)
     else:
-        say("no measurement runs on this machine")
+        say("no measurement runs on this machine", answer=True)
     return EXIT_OK if any(one.alive for one in programs) else EXIT_FAIL
 
 
@@ -67,10 +67,10 @@ def _print(program: Running) -> None:
     console, situation = stdout_console(), program.situation
     if program.alive:
         since = str(situation.program.get("at", ""))[:19].replace("T", " ")
-        say(f"process {program.pid}, since {since} UTC")
+        say(f"process {program.pid}, since {since} UTC", answer=True)
     else:
         resumed = program.run.parent if program.run else ""
-        say(f"process {program.pid} was killed; the records are kept: go on with --resume {resumed}")
+        say(f"process {program.pid} was killed; the records are kept: go on with --resume {resumed}", answer=True)
     console.print(picture(situation, console.width, max(console.height, 40)))
 
 
@@ -124,10 +124,10 @@ def stop(which: str | None, everything: bool, wait_s: float, as_json: bool) -> i
     else:
         for one in chosen:
             if one in left:
-                say(f"process {one.pid} was told to stop and has not ended after {wait_s:g} s")
+                say(f"process {one.pid} was told to stop and has not ended after {wait_s:g} s", answer=True)
             else:
                 where = f"; go on with --resume {one.run.parent}" if one.run is not None else ""
-                say(f"process {one.pid} has ended{where}")
+                say(f"process {one.pid} has ended{where}", answer=True)
     return EXIT_FAIL if left else EXIT_OK
 
 

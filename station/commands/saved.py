@@ -91,7 +91,7 @@ def report_command(
             continue
         documents.append({"run": str(evaluated.run.path), "report": str(written)})
         if not as_json:
-            say(str(written))
+            say(str(written), answer=True)
     if as_json:
         print_json(documents[0] if len(documents) == 1 else {"results": documents})
     return min(exit_codes, default=0)
@@ -222,7 +222,7 @@ def export_command(
         where = (
             done.files[0] if len(done.files) == 1 else f"{len(done.files)} files, {done.files[0]} and following"
         )
-        say(f"saved   {done.records} records of {done.sources} sources in {where}")
+        say(f"saved   {done.records} records of {done.sources} sources in {where}", answer=True)
     return EXIT_USAGE if any(one.reason != NO_RECORD for one in left_out) else EXIT_OK
 
 
@@ -301,8 +301,10 @@ def compare_command(first: str, second: str, config: Path | None, as_json: bool,
     for name, side in (("A", a), ("B", b)):
         say(f"{name}   {side.name}: {len(side.keys)} records; {'; '.join(side.analyses)}")
     stdout_console().print(text_table(found.table(), left=1))
-    for sentence in found.sentences():
+    *before, last = found.sentences()
+    for sentence in before:
         say(sentence)
+    say(last, answer=True)
     return 0
 
 
@@ -355,7 +357,7 @@ def annotate_command(
         said = [one.as_json() for one in remarks.said]
         shown.append({"run": str(file), "mark": remarks.mark, "tags": list(remarks.tags), "remarks": said})
         if not as_json:
-            say(" ".join([str(file), *filter(None, [remarks.mark]), *remarks.tags]))
+            say(" ".join([str(file), *filter(None, [remarks.mark]), *remarks.tags]), answer=True)
             for one in remarks.notes:
                 say(f"  {one.at[:16].replace('T', ' ')}  {one.by}: {one.note}")
     if as_json:
@@ -397,7 +399,7 @@ def salvage_command(path: Path, out: Path | None, as_json: bool) -> int:
         return 0
     for name in found.lost:
         remark(f"lost: {name}")
-    say(f"saved   {found.records} records in {found.path}")
+    say(f"saved   {found.records} records in {found.path}", answer=True)
     return 0
 
 
@@ -427,7 +429,7 @@ def verify_command(paths: tuple[Path, ...], as_json: bool) -> int:
         holds = all(one.holds for one in checks)
         told.append({"record": str(path), "holds": holds, "checks": [vars(one) for one in checks]})
         if not as_json:
-            say(f"{path}: {'holds' if holds else 'DOES NOT HOLD'}")
+            say(f"{path}: {'holds' if holds else 'DOES NOT HOLD'}", answer=True)
             for one in checks:
                 say(f"  {'ok  ' if one.holds else 'NOT '} {one.about}: {one.sentence}")
     if as_json:

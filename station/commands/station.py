@@ -22,7 +22,7 @@ from station.errors import (
     describe_failure,
 )
 from station.shell.options import display_options, json_option, shown, transcript_option
-from station.terminal import print_failure, print_json, remark, say
+from station.terminal import print_failure, print_json, remark, say, say_briefly
 
 if TYPE_CHECKING:
     from station.campaign.journal import CampaignOutcome, CampaignPlan
@@ -138,7 +138,7 @@ def _checked(file: Path, plans: list[CampaignPlan], as_json: bool) -> int:
         print_json({**said, "warnings": warned})
     else:
         limits = sum(len(step.limits) for step in steps)
-        say(f"{file}: {len(steps)} steps, {limits} limits, all well for {', '.join(named)}")
+        say(f"{file}: {len(steps)} steps, {limits} limits, all well for {', '.join(named)}", answer=True)
     return EXIT_OK
 
 
@@ -238,9 +238,8 @@ def _tell(outcome: CampaignOutcome, given: dict[str, Any], page: Path | None) ->
         if page is not None:
             files = {"page": str(page), "record": str(page.with_name("record.json"))}
         print_json({**plain(outcome_document(outcome)), **files})
-    elif given["quiet"]:
-        say(f"{outcome.plan.unit}; {outcome.verdict or 'no limits'}; {outcome.directory}")
     else:
+        say_briefly(f"{outcome.plan.unit}; {outcome.verdict or 'no limits'}; {outcome.directory}")
         print_outcome(outcome)
         if page is not None:
             say(f"record  {page}")

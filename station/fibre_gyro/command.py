@@ -23,7 +23,7 @@ from station.shell.options import (
     run_options,
     transcript_option,
 )
-from station.terminal import print_json, say
+from station.terminal import print_json, say, say_briefly
 
 # --------------------
 # ``gyrolock fog sniff``: which description of frames fits a gyro
@@ -143,6 +143,7 @@ def constants(run: Path, as_json: bool, **given: Any) -> int:
         print_json(constants_document(found, files))
         return 0
     stdout_console().print(text_table(constants_table(found)))
+    say_briefly(f"{len(constants_table(found).rows)} constants{''.join(f'; {path}' for path in files.values())}")
     for path in files.values():
         say(f"saved   {path}")
     return 0
@@ -342,7 +343,7 @@ def settings_file(serial: bool, config: Path | None, as_json: bool) -> int:
 
         print_json(load_fog_settings(config or shipped).model_dump(mode="json"))
     else:
-        say(shipped.read_text(encoding="utf-8").rstrip())
+        say(shipped.read_text(encoding="utf-8").rstrip(), answer=True)
     return 0
 
 
@@ -378,7 +379,7 @@ def serve(
         if as_json:
             print_json({"port": server.port})
         else:
-            say(server.port)
+            say(server.port, answer=True)
         with suppress(KeyboardInterrupt):
             # a wait without end could not be interrupted on Windows
             while not server.ended.wait(timeout=0.5):

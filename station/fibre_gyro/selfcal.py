@@ -455,6 +455,7 @@ def result(found: SelfcalEvaluation, run: SavedRun, settings: FogSettings) -> Re
         f"Against the slope of the injected numbers: {numbers}.",
     )
     watched = tuple(_to_watch(found, settings))
+    sentences = _shared_path_sentences if settings.selfcal.path == "shared" else _second_path_sentences
     return Result(
         name="result",
         value=f"K_self = {with_uncertainty(fit.slope, fit.slope_u)} {COUNTS_PER_DPS}",
@@ -466,7 +467,7 @@ def result(found: SelfcalEvaluation, run: SavedRun, settings: FogSettings) -> Re
             ("intercept F_0", f"{with_uncertainty(fit.intercept, _intercept_u(found))} counts"),
             ("static output N_0", f"{with_uncertainty(net.static, net.static_u)} counts"),
         ],
-        sentences=tuple(_sentences(found, settings)),
+        sentences=tuple(sentences(found, gated=settings.gyro.gated_resets)),
         to_watch=watched,
         flags=watched,
         left_out=found.left_out,
@@ -506,6 +507,8 @@ def _budget(found: SelfcalEvaluation) -> list[Contribution]:
     else:
         note = f"noise model of {model.source}"
     drift = "interpolated in time" if found.drift_removed else "as large as the static outputs allow"
+    cancels = parts["numbers"] and not parts["table"]
+    numbers = f"of the table run{', with its scale factor: their errors cancel in part' if cancels else ''}"
     table = found.reference.source if found.reference else "compared with K by design, exact by definition"
     return [
         Contribution(
@@ -515,21 +518,9 @@ def _budget(found: SelfcalEvaluation) -> list[Contribution]:
         Contribution("slow noise", at_rest, parts["slow noise"], model is not None, note),
         Contribution("scatter", "scatter of the steps beyond these", parts["scatter"], True, "residuals"),
         Contribution("drift", "drift of the bias", parts["drift"], True, drift),
-        Contribution("numbers", "numbers for the rates", parts["numbers"], True, _numbers_note(parts)),
+        Contribution("numbers", "numbers for the rates", parts["numbers"], True, numbers),
         Contribution("table", "scale factor compared with", parts["table"], True, table),
     ]  # fmt: skip
-
-
-def _numbers_note(parts: Mapping[str, float]) -> str:
-    if parts["numbers"] and not parts["table"]:
-        return "of the table run, with its scale factor: their errors cancel in part"
-    return "of the table run"
-
-
-def _sentences(found: SelfcalEvaluation, settings: FogSettings) -> list[str]:
-    """Say what this self-calibration can see and what it cannot, with the predicted sizes."""
-    by_path = _shared_path_sentences if settings.selfcal.path == "shared" else _second_path_sentences
-    return by_path(found, gated=settings.gyro.gated_resets)
 
 
 def _shared_path_sentences(found: SelfcalEvaluation, *, gated: bool) -> list[str]:

@@ -226,13 +226,13 @@ def show(found: Sniffed, formats: Mapping[str, KnownFormat]) -> None:
         say(f"no frame of: {', '.join(none)}")
     best = found.proposed
     if best is None:
-        say("No known description fits.")
+        say("No known description fits.", answer=True)
         for line in _told(found.structure):
             say(line)
         return
     known = formats[best.name]
     file = "" if known.shipped else f', link.frame_format_file = "{known.file}"'
-    say(f'Proposed: link.frame_format = "{best.name}"{file}')
+    say(f'Proposed: link.frame_format = "{best.name}"{file}', answer=True)
     for other in found.as_likely:
         say(f"{other.name} fits as well: the data sheet decides.")
     for doubt in best.doubts:

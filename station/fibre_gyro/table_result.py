@@ -407,7 +407,8 @@ def result(found: TableEvaluation, run: SavedRun, settings: FogSettings) -> Resu
         f"From {sum(len(one.keys) for one in found.axes)} runs over whole turns, by least squares.",
         *_of_rates(found, settings),
     )
-    watched = tuple(to_watch(found, settings))
+    watched, matrix = tuple(to_watch(found, settings)), found.matrix
+    turned = {} if matrix is None else {"gyros": matrix.gyros, "turned": matrix.turned, **document(matrix, MATRIX)}
     return Result(
         name="result",
         value="; ".join(f"K({axis}) = {with_uncertainty(f.scale_factor, f.scale_factor_u)}" for axis, f in fits),
@@ -415,7 +416,7 @@ def result(found: TableEvaluation, run: SavedRun, settings: FogSettings) -> Resu
             "axes": axes,
             DESIGN[0].key(): settings.nominal_scale_factor,
             DESIGN[1].key(): settings.table.irreproducibility_ppm,
-            "matrix": _matrix_document(found.matrix),
+            "matrix": turned or None,
             "left_out": found.left_out,
         },
         quantities=QUANTITIES,
@@ -449,12 +450,6 @@ def _tables(found: TableEvaluation) -> Iterator[TextTable]:
         yield ladder_table(found.axes)
     if found.matrix is not None:
         yield matrix_table(found.matrix)
-
-
-def _matrix_document(matrix: ThreeAxes | None) -> dict[str, Any] | None:
-    if matrix is None:
-        return None
-    return {"gyros": matrix.gyros, "turned": matrix.turned, **document(matrix, MATRIX)}
 
 
 def matrix_table(matrix: ThreeAxes) -> TextTable:

@@ -305,7 +305,8 @@ def result(found: ThresholdEvaluation, run: SavedRun, settings: FogSettings) -> 
     axes = [_axis(one) for one in found.axes]
     alone = len(axes) == 1
     lines = tuple(line for one in found.axes for line in _lines(one, several=not alone))
-    watched = tuple(_to_watch(found, settings))
+    by_axis = (said for one in found.axes for said in _to_watch_of(one, settings))
+    watched = (*(f"{one.sentence}." for one in found.left_out), *by_axis)
     first = found.axes[0]
     return Result(
         name="result",
@@ -363,13 +364,6 @@ def _sentences(found: ThresholdEvaluation, settings: FogSettings) -> tuple[str, 
     if _own(settings).table_axis == "vertical":
         said.append("Inputs count the vertical earth rate, which the table turns against where they are small.")
     return tuple(said)
-
-
-def _to_watch(found: ThresholdEvaluation, settings: FogSettings) -> list[str]:
-    said = [f"{one.sentence}." for one in found.left_out]
-    for one in found.axes:
-        said += _to_watch_of(one, settings)
-    return said
 
 
 def _to_watch_of(one: AxisThreshold, settings: FogSettings) -> list[str]:

@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.text import Text
 
 from station.live.events import Event
-from station.terminal import visible
+from station.terminal import PRINTS_ONE_LINE, prints, visible
 
 _EVERY_S = 5.0
 _LOST = (OSError, ValueError)  # ValueError: the stream is closed
@@ -116,6 +116,8 @@ class PlainConsole(Console):
 
     def print(self, *objects: Any, **how: Any) -> None:
         """Print; in a file or a pipe without the blanks that fill the width."""
+        if self.quiet:
+            return
         if self.is_terminal or self.stderr:
             super().print(*objects, **how)
             return
@@ -130,4 +132,6 @@ class PlainConsole(Console):
 
 def stdout_console() -> Console:
     """Return a console on stdout; wide enough for a table also where there is no terminal."""
-    return PlainConsole(width=None if sys.stdout.isatty() else 100)
+    console = PlainConsole(width=None if sys.stdout.isatty() else 100)
+    console.quiet = prints(PRINTS_ONE_LINE)
+    return console

@@ -263,7 +263,10 @@ def print_values(result: Result, tested: Sequence[LimitOutcome], about: Rows = (
         # the first number of the short page
         name, text = next(iter(result.brief), (result.name, result.value))
         verdict = worst(one.verdict for one in tested)
-        say("; ".join(filter(None, ("" if result.problem else f"{name}: {text}", result.quality, verdict))))
+        say(
+            "; ".join(filter(None, ("" if result.problem else f"{name}: {text}", result.quality, verdict))),
+            answer=True,
+        )
         return
     console, full = stdout_console(), prints(PRINTS_ALL)
     short = () if result.brief else (table for table in result.tables if len(table.rows) <= _MOST_ROWS)

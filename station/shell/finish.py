@@ -33,7 +33,7 @@ from station.sources.batches import Source
 from station.sources.find import open_source
 from station.sources.run import SavedRecords, read_as_needed, source_of
 from station.sources.workers import ThisProcess, Workers
-from station.terminal import PRINTS_ONE_LINE, print_failure, print_json, prints, remark, say
+from station.terminal import print_failure, print_json, remark, say
 
 if TYPE_CHECKING:
     from station.live.events import Events
@@ -274,7 +274,7 @@ def finish(
         document["outcome"] = failure.message
     if as_json or (quiet and failure is not None):
         print_json(document if as_json else {"error": failure.as_json() if failure else None})
-    elif not (quiet or prints(PRINTS_ONE_LINE)):
+    elif not quiet:
         say(f"saved   {run.path}{' and report.html' if 'report' in document else ''}")
         if run.facts.link_faults is not None and not run.facts.link_faults.clean:
             say(f"link    {run.facts.link_faults}")

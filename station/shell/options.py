@@ -17,7 +17,7 @@ from station.errors import EXIT_DEFECT, EXIT_OK, EXIT_USAGE, SettingsError, desc
 from station.files import version
 from station.live.events import Events
 from station.runs.progress import Acknowledgement, Progress
-from station.terminal import PRINTS_ALL, PRINTS_ONE_LINE, remark, stepping_aside
+from station.terminal import PRINTS_ALL, PRINTS_ONE_LINE, prints, remark, stepping_aside
 
 if TYPE_CHECKING:
     from station.runs.acquisition import Taken
@@ -94,10 +94,11 @@ class SuggestingGroup(click.Group):
 
 
 def json_option(function: F) -> F:
-    """Add ``--json``."""
-    return click.option("--json", "as_json", is_flag=True, help="Print one JSON document, also for an error.")(
-        function
-    )
+    """Add ``--json`` and ``--quiet``."""
+    one_line = "Print the result in one line, and errors."
+    function = click.option("--quiet", is_flag=True, expose_value=False, callback=_keep, help=one_line)(function)
+    one_document = "Print one JSON document, also for an error."
+    return click.option("--json", "as_json", is_flag=True, help=one_document)(function)
 
 
 def config_option(function: F) -> F:
@@ -111,7 +112,7 @@ def config_option(function: F) -> F:
 
 
 def unused_config_option(function: F) -> F:
-    """Take ``--config FILE`` where nothing of it is used, for scripts that give it to every command."""
+    """Take ``--config FILE`` unseen where nothing of it is used, for scripts that give it to every command."""
 
     def read(_: click.Context, __: click.Parameter, path: Path | None) -> None:
         if path is not None:
@@ -119,14 +120,8 @@ def unused_config_option(function: F) -> F:
 
             read_toml(path)  # a file with a mistake is one here too
 
-    return click.option(
-        "--config",
-        type=click.Path(path_type=Path),
-        metavar="FILE",
-        expose_value=False,
-        callback=read,
-        help="Settings file; nothing of it is used here.",
-    )(function)
+    path = click.Path(path_type=Path)
+    return click.option("--config", type=path, expose_value=False, callback=read, hidden=True)(function)
 
 
 def transcript_option(function: F) -> F:
@@ -343,11 +338,10 @@ def full_option(function: F) -> F:
 
 
 def display_options(function: F) -> F:
-    """Add ``--full``, ``--plain``, ``--quiet`` and ``--events``."""
+    """Add ``--full``, ``--plain`` and ``--events``."""
     options = (
         full_option,
         click.option("--plain", is_flag=True, help="Progress as plain lines, also on a terminal."),
-        click.option("--quiet", is_flag=True, callback=_keep, help="Print the result in one line, and errors."),
         click.option(
             "--events",
             "events_to",
@@ -375,7 +369,7 @@ def shown(given: Mapping[str, Any], command: str, **labels: str | None) -> Itera
         status = StatusFile()
         events.read_by(status)
         readers.callback(status.close)
-        if not given.get("quiet"):
+        if not (given.get("quiet") or prints(PRINTS_ONE_LINE)):
             if given.get("plain") or not _can_be_drawn_on(lines_on_stdout=bool(given.get("jsonl"))):
                 from station.live.console import PlainLines
 

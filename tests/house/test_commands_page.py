@@ -40,7 +40,7 @@ def test_every_command_and_option_has_help() -> None:
     assert len(EVERY) > 12
     silent = [path for path, command in EVERY.items() if not command.help]
     for path, command in EVERY.items():
-        options = [one for one in command.params if isinstance(one, click.Option)]
+        options = [one for one in command.params if isinstance(one, click.Option) and not one.hidden]
         silent += [f"{path} {one.opts[0]}" for one in options if not one.help]
     assert silent == []
 
@@ -78,11 +78,17 @@ SAME_THING = {
 }
 
 
+def test_every_command_prints_one_document_or_one_line() -> None:
+    for path, command in EVERY.items():
+        if not isinstance(command, click.Group):
+            assert {"--json", "--quiet"} <= {one.opts[0] for one in command.params}, path
+
+
 def test_an_option_means_one_thing() -> None:
     meanings: dict[str, set[str]] = {}
     for command in EVERY.values():
         for option in command.params:
-            if isinstance(option, click.Option):
+            if isinstance(option, click.Option) and not option.hidden:
                 meanings.setdefault(option.opts[0], set()).add(option.help or "")
     assert {name for name, said in meanings.items() if len(said) > 1} <= set(SAME_THING)
     written = ("page goes", "Write plots", "Folder for", "Directory of tests")

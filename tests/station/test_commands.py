@@ -4,6 +4,7 @@ import json
 import re
 import subprocess
 import sys
+from pathlib import Path
 
 import click
 import numpy as np
@@ -19,13 +20,30 @@ from station.shell.options import CHANNELS
 
 HEAVY = ("numpy", "scipy", "pyvisa", "matplotlib", "pydantic", "rich", "jinja2")
 
+CONFIG_CHANGES_NOTHING = (  # they take it, for scripts that give it to every command, and do not show it
+    "start", "runs", "annotate", "export", "verify", "history", "salvage", "status", "stop", "study", "list",
+)  # fmt: skip
+
+
+def test_a_settings_file_with_a_mistake_is_one_where_nothing_of_it_is_used(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "bench.toml").write_text("= 2")
+    assert main(["runs", str(tmp_path), "--config", str(tmp_path / "bench.toml")]) == 2
+    assert "bench.toml" in capsys.readouterr().err
+
 
 @pytest.mark.parametrize("command", list(cli.COMMANDS))
 def test_every_command_has_help_json_and_config(command: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main([command, "--help"]) == 0
     text = capsys.readouterr().out
     assert "--json" in text
-    assert "--config" in text or "FILE" in text.splitlines()[0]  # a campaign is its own settings file
+    found = cli.gyrolock.get_command(click.Context(cli.gyrolock), command)
+    assert found is not None
+    taken = any("--config" in one.opts for one in found.params)
+    # a campaign is its own settings file; the tests of `fog` take it
+    assert taken or "FILE" in text.splitlines()[0] or "--config" in text
+    assert ("\n  --config" in text) == (taken and command not in CONFIG_CHANGES_NOTHING)
     first = cli.COMMANDS[command][1].split(":")[0].rstrip(".")
     assert first.split(",")[0] in " ".join(text.split())
 

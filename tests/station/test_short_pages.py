@@ -65,6 +65,19 @@ def test_the_list_of_runs_has_one_line_a_run_and_a_word_of_quality(
     assert "± 0.0000096 deg/s" in default and " good " in default
 
 
+@pytest.mark.parametrize(
+    "line",
+    [
+        "analyze default.sqlite single.sqlite", "runs .", "compare default.sqlite single.sqlite",
+        "export single.sqlite --to x.npz", "annotate single.sqlite --note x", "report single.sqlite --to x.html",
+        "plan", "study --figure 2", "doctor", "list --no-lan",
+    ],
+)  # fmt: skip
+def test_quiet_is_one_line_of_every_command(line: str, runs: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([*line.split(), "--quiet"]) in (0, 3)
+    assert len(capsys.readouterr().out.splitlines()) == 1
+
+
 def test_a_run_is_named_by_its_path_a_beginning_or_as_the_last_one(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 
 from analysis.arrays import Bools, Complexes, Floats
-from analysis.several_rates.points import UsedRecords, rate_mismatch
+from analysis.several_rates.points import SAME_RATE, UsedRecords, first_of_groups, rate_mismatch
 from analysis.several_rates.ratio_model import DRIFT, Reference, predicted_ratio, whitened
 
 Model = Literal["lock-in", "distortion", "gain", "both", "all"]
@@ -216,6 +216,12 @@ class RatesFit:
     def rate(self) -> Floats:
         """Of every record, deg/s, signed, (n,)."""
         return self.each.rate
+
+    @property
+    def n_rates(self) -> int:
+        """Different rates of the records used, those of each sense by themselves."""
+        by_sense = [np.abs(self.rate[self.used & (sign * self.rate > 0)]) for sign in (1, -1)]
+        return sum(first_of_groups([one], SAME_RATE).size for one in by_sense if one.size)
 
     @property
     def ratio(self) -> Complexes:

@@ -151,7 +151,6 @@ def print_outcome(outcome: CampaignOutcome) -> None:
     """Print how a test has ended."""
     console = stdout_console()
     plan, verdict = outcome.plan, outcome.verdict
-    console.print()
     console.print(Text(visible(f"{plan.unit}   {plan.name}, {plan.station}")), soft_wrap=True)
     console.print()
     if verdict is None:
@@ -167,7 +166,8 @@ def print_outcome(outcome: CampaignOutcome) -> None:
         if console.is_terminal and console.width >= _WIDE:
             console.print(text_table(table, left=3))
         else:
-            _print_lines(f"{step.step.key}: {one.sentence}" for step in outcome.steps for one in step.limits)
+            limits = ((step.step.key, one) for step in outcome.steps for one in step.limits)
+            _print_lines(f"{key}: {one.sentence.partition('; ')[0]}" for key, one in limits)
     if said := sentences(outcome):
         console.print()
         _print_lines(f"• {sentence}" for sentence in said)

@@ -68,7 +68,7 @@ def list_command(lan: bool, as_json: bool) -> int:
 @click.option("--resource", metavar="NAME", help="VISA name of the oscilloscope. Without one it is simulated.")
 @click.option("--baud", type=click.IntRange(300, 115_200), metavar="N", help="Speed of an RS-232 line.")
 @click.option(
-    "--channel", "channels", multiple=True, metavar="CHn", help="Only this one; else all that are on the screen."
+    "--channel", "channels", multiple=True, metavar="CH1|1", help="Only this one; else all that are on the screen."
 )
 @click.option(
     "--to",
@@ -109,7 +109,7 @@ def grab_command(
     with ExitStack() as stack, suppress(KeyboardInterrupt):
         scope = _open(stack, resource, baud, settings)
         while True:
-            traces = grab_traces(scope, [name.upper() for name in channels])
+            traces = grab_traces(scope, [f"CH{name}" if name.isdigit() else name.upper() for name in channels])
             picture = scope.screen().png if screen and not numbers_only else None
             name = f"grab-{datetime.now():%Y%m%d-%H%M%S-%f}"[:-3]
             files = [] if numbers_only else write_grab(folder, name, traces, picture)

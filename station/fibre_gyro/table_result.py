@@ -641,8 +641,11 @@ def axis_budget(one: AxisResult, settings: FogSettings) -> dict[str, Any]:
     """Return the budget of the scale factor of one axis, as JSON."""
     fit = one.fit
     parts = {name: PPM * value / abs(fit.scale_factor) for name, value in fit.contributions.items()}
+    by_model = one.noise is not None and one.noise_by_model
+    source = "noise model" if by_model else "scatter of the words over the turns"
+    walk = f"{fit.angle_random_walk:.2g} deg/√h, by the {source}"
     lines = [
-        Contribution("noise", "noise within the runs", parts["noise"], True, _noise_note(one)),
+        Contribution("noise", "noise within the runs", parts["noise"], True, walk),
         _slow_noise(one, parts["slow noise"]),
         _stated(settings, parts["stated"]),
         Contribution(
@@ -677,13 +680,6 @@ def noise_sentence(one: AxisResult) -> str:
         f"{one.axis}: to u(K) the noise model of {one.noise.source} contributes {by_model:.2g} ppm, what the runs "
         f"scatter beyond it {by_runs:.2g} ppm: {rules}.{within}"
     )
-
-
-def _noise_note(one: AxisResult) -> str:
-    walk = f"{one.fit.angle_random_walk:.2g} deg/√h"
-    if one.noise is not None and one.noise_by_model:
-        return f"{walk}, by the noise model"
-    return f"{walk}, by the scatter of the words over the turns"
 
 
 def _slow_noise(one: AxisResult, part: float) -> Contribution:

@@ -188,8 +188,7 @@ def _has(fit: RatesFit, flag: RatesFlag) -> bool:
 
 def _value(fit: RatesFit) -> str:
     senses = "one sense" if _has(fit, RatesFlag.ONE_SENSE) else "both senses"
-    n_rates = max(fit.left_out.rate.size, 1)
-    rates = f"{n_rates} rate{'s' if n_rates > 1 else ''}"
+    rates = f"{fit.n_rates} rate{'s' if fit.n_rates > 1 else ''}"
     origin = f"from {int(fit.used.sum())} records at {rates} in {senses}"
     if _has(fit, RatesFlag.NOT_SIGNIFICANT):
         text = (

@@ -9,11 +9,14 @@ import math
 import os
 import shlex
 import shutil
+import signal
 import subprocess
 import sys
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
-from typing import Annotated, Any
+from threading import Thread
+from typing import IO, Annotated, Any
 
 from pydantic import Field
 
@@ -27,6 +30,7 @@ from station.runs.store import NewRecord, SavedRun
 from station.settings import Limits, OutputSettings, Positive, SettingsKind, SettingsSection
 
 _LARGEST = 1_000_000  # bytes of an answer: numbers, not records
+_LAST_WORDS_S = 5.0  # for what is in the pipes yet
 _PURPOSE = "program"
 # what it prints itself is no part of the answer
 _CALL = """\
@@ -84,27 +88,45 @@ def take(settings: ProgramSettings, session: Acquisition) -> None:
         return  # killed when the answer was on the disk
     session.progress.note(f"running {program.called}")
     try:
-        done = subprocess.run(
-            program.words(str(session.facts.get("unit") or "")),
-            cwd=program.directory or None,
-            stdin=subprocess.DEVNULL,
-            capture_output=True,
-            check=False,
-            timeout=program.timeout_s,
-        )
+        code, answer, said = run_program(program, str(session.facts.get("unit") or ""))
     except subprocess.TimeoutExpired:
         raise InstrumentError(f"{program.called} has not ended after {program.timeout_s:g} s") from None
     except (OSError, ValueError) as error:
         raise InstrumentError(f"{program.called} cannot be run ({error})") from None
-    said = done.stderr.decode(errors="replace").strip().splitlines()
-    if done.returncode:
-        why = said[-1] if said else "it says nothing"
-        raise InstrumentError(f"{program.called} ended with code {done.returncode}: {why}")
+    if code:
+        raise InstrumentError(f"{program.called} ended with code {code}: {(said or ['it says nothing'])[-1]}")
     for line in said[-20:]:
         session.progress.note(line)
-    if len(done.stdout) > _LARGEST:
-        raise InstrumentError(f"{program.called} has said {len(done.stdout)} bytes, more than {_LARGEST}")
-    writer.save_records([NewRecord("answer", _PURPOSE, json.dumps({"program": program.called}), done.stdout, {})])
+    if len(answer) > _LARGEST:
+        raise InstrumentError(f"{program.called} has said more than {_LARGEST} bytes")
+    writer.save_records([NewRecord("answer", _PURPOSE, json.dumps({"program": program.called}), answer, {})])
+
+
+def run_program(program: ProgramSection, unit: str) -> tuple[int, bytes, list[str]]:
+    """Its exit code, what it says, and its lines on stderr; no process that it began stays behind."""
+    kept = bytearray(), bytearray()
+
+    def keep(stream: IO[bytes], text: bytearray) -> None:
+        while piece := stream.read(1 << 16):
+            text += piece
+            del text[: -_LARGEST - 1]  # one that never stops talking fills no memory
+
+    words, pipe = program.words(unit), subprocess.PIPE
+    with subprocess.Popen(
+        words, 0, None, subprocess.DEVNULL, pipe, pipe, cwd=program.directory or None, start_new_session=True
+    ) as process:
+        streams = (stream for stream in (process.stdout, process.stderr) if stream is not None)
+        readers = [Thread(target=keep, args=each, daemon=True) for each in zip(streams, kept, strict=True)]
+        try:
+            for reader in readers:
+                reader.start()
+            process.wait(program.timeout_s)
+        finally:
+            with suppress(ProcessLookupError):
+                os.killpg(process.pid, signal.SIGKILL) if os.name == "posix" else process.kill()
+            for reader in readers:
+                reader.join(_LAST_WORDS_S)
+    return process.returncode, bytes(kept[0]), kept[1].decode(errors="replace").strip().splitlines()
 
 
 def evaluate(run: SavedRun, settings: ProgramSettings, *_: Any) -> dict[str, Any]:

@@ -251,7 +251,8 @@ def carry_out(
 ) -> StepOutcome:
     """Carry out one step of a test."""
     begun = StepOutcome(step, None, started_at=started_at)
-    attempt = _Attempts(step, plan, directory / "runs" / _folder(step.key), progress, labels)
+    folder = "".join(letter if letter.isalnum() or letter in "._-" else "_" for letter in step.key)
+    attempt = _Attempts(step, plan, directory / "runs" / folder, progress, labels)
     try:
         conditions = surroundings.bring_about(step)
         wait("warm-up", warm_up_s)
@@ -265,10 +266,6 @@ def carry_out(
         return _failed(begun, _described(error, step))
     begun = replace(begun, attempts=attempt.count, conditions=conditions, remarks=tuple(attempt.remarks))
     return _evaluated(begun, taken, plan, evaluated, before)
-
-
-def _folder(key: str) -> str:
-    return "".join(letter if letter.isalnum() or letter in "._-" else "_" for letter in key)
 
 
 @dataclass

@@ -462,6 +462,7 @@ def render_record(record: Mapping[str, Any], outcome: CampaignOutcome, evaluated
     unit = record["unit"]
     tables = [table for table in _facts(record) if table.rows]
     middle = (len(tables) + 1) // 2
+    tested = f"Tested {_time(record['started_at'])} to {_time(record['ended_at'])} UTC."
     return render_page(
         "record.html.j2",
         title=f"{unit['serial']}, {record['started_at'][:10]}: {verdict or 'tested'}",
@@ -471,7 +472,7 @@ def render_record(record: Mapping[str, Any], outcome: CampaignOutcome, evaluated
         state=_state(verdict),
         verdict=verdict or "TESTED",
         unit=f"{unit['serial']}, {unit['type']}" if unit["type"] else unit["serial"],
-        lines=_lines(record),
+        lines=list(filter(None, [tested, record["outcome"]["message"]])),
         labels=_labels(record),
         limits=[
             {"state": _state(row[0]), **dict(zip(LIMIT_COLUMNS, row, strict=True))}
@@ -487,17 +488,13 @@ def render_record(record: Mapping[str, Any], outcome: CampaignOutcome, evaluated
         ],
         shown=list(_shown(record, evaluated)),
         fact_columns=[tables[:middle], tables[middle:]],
-        footer=_footer(record, outcome),
+        footer=f"Made by gyrolock {version('gyrolock')}. `gyrolock verify {outcome.directory.name}` proves that "
+        "this record and the raw runs belong together, and computes the result again.",
     )
 
 
 def _state(verdict: str | None) -> str:
     return _STATES.get(verdict or "", "")
-
-
-def _lines(record: Mapping[str, Any]) -> list[str]:
-    said = [f"Tested {_time(record['started_at'])} to {_time(record['ended_at'])} UTC."]
-    return [*said, record["outcome"]["message"]] if record["outcome"]["message"] else said
 
 
 def _time(at: str | None) -> str:
@@ -622,10 +619,3 @@ def _facts(record: Mapping[str, Any]) -> Iterator[FactTable]:
             rows = [("run", run["path"]), ("SHA-256", run["sha256"] or "not known")]
             yield FactTable(f"Raw data of {step['key']}", [*rows, ("of its records", run["records_sha256"] or "")])
     yield FactTable("This record", [("SHA-256 of its content", record[CONTENT])])
-
-
-def _footer(record: Mapping[str, Any], outcome: CampaignOutcome) -> str:
-    return (
-        f"Made by gyrolock {version('gyrolock')}. `gyrolock verify {outcome.directory.name}` proves that this "
-        "record and the raw runs belong together, and computes the result again."
-    )

@@ -461,7 +461,8 @@ _CAUSES = {
 def result(found: FiguresEvaluation, run: SavedRun, settings: FogSettings) -> Result:
     """Put into numbers and sentences what was found."""
     lines = tuple(line for one in found.axes for line in _lines(one, several=len(found.axes) > 1))
-    watched = tuple(_to_watch(found, settings))
+    by_run = (said for axis in found.axes for run in axis.all_runs for said in _to_watch_in(run))
+    watched = (*(f"{one.sentence}." for one in found.left_out), *by_run)
     return Result(
         name="result",
         value=f"Nonlinearity {found.largest('nonlinearity_ppm'):.3g} ppm of full scale",
@@ -551,13 +552,6 @@ def _sentences(found: FiguresEvaluation) -> list[str]:
         if one.pattern.names
     ]
     return said or ["The deviations from the line show no pattern beyond their noise."]
-
-
-def _to_watch(found: FiguresEvaluation, settings: FogSettings) -> list[str]:
-    said = [f"{one.sentence}." for one in found.left_out]
-    for one in [run for axis in found.axes for run in axis.all_runs]:
-        said += _to_watch_in(one)
-    return said
 
 
 def _to_watch_in(one: MeritRun) -> list[str]:

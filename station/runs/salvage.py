@@ -47,7 +47,8 @@ def salvage(path: Path, parent: Path | None = None) -> Salvaged:
     told = f"salvaged from {file}: {len(records)} records" + (f", {'; '.join(lost)}" if lost else "")
     known = {**facts, "salvaged_from": str(file), "outcome": {"kind": "salvaged", "message": told, "exit_code": 2}}
     with RunWriter.create(parent or file.parent.parent, known) as writer:
-        kept = [_new(records[number]) for number in sorted(records)]
+        saved = (records[number] for number in sorted(records))
+        kept = [NewRecord(r.key, r.purpose, r.header, r.payload, r.conditions, r.taken_at) for r in saved]
         for first in range(0, len(kept), _COMMIT):
             writer.save_records(kept[first : first + _COMMIT])
     return Salvaged(writer.path, len(records), lost)
@@ -126,10 +127,6 @@ def _lost(records: dict[int, SavedRecord], run: SavedRun | None, facts: dict[str
         if number not in records:
             lost.append(f"record {number} ({there[number]})")
     return (*lost, *(f"its {name}" for name in ("command", "settings") if name not in facts))
-
-
-def _new(record: SavedRecord) -> NewRecord:
-    return NewRecord(record.key, record.purpose, record.header, record.payload, record.conditions, record.taken_at)
 
 
 # --------------------

@@ -1,6 +1,10 @@
 """Limits on what two numbers of a test make, and steps that are due only where an earlier one failed."""
 
 import json
+import subprocess
+import sys
+import time
+import tracemalloc
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Callable
 from pathlib import Path
@@ -19,6 +23,7 @@ from station.campaign.verify import verify
 from station.cli import main
 from station.errors import SettingsError, UsageError
 from station.lock_in import take as lock_in_take
+from station.program import ProgramSection, run_program
 from station.results.derived import budgeted_values, derived
 from station.results.quantity import Quantity, QuantityGroup
 from station.runs.progress import Progress
@@ -408,6 +413,7 @@ def test_a_program_killed_behind_its_answer_is_not_run_again(
         ),
         ("def leak(unit):\n    return {'leak_rate': True, 'pressure': 1}\n", 4, "True for the value of leak_rate"),
         ("def leak(unit):\n    import time\n    time.sleep(60)\n", 3, "has not ended after 0.5 s"),
+        ("def leak(unit):\n    import os\n    os.write(1, b'x' * 2_000_000)\n", 3, "said more than 1000000 bytes"),
     ],
 )
 def test_a_program_that_fails_is_the_bench(
@@ -421,6 +427,27 @@ def test_a_program_that_fails_is_the_bench(
     assert said in told.out and "VERDICT ERROR" in told.out
     assert "Traceback" not in told.out + told.err
     assert "again: PASS" not in told.out  # a ratio to what is not there
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="groups of processes are of POSIX")
+def test_a_program_that_never_stops_takes_no_memory_and_leaves_no_process(tmp_path: Path) -> None:
+    late = "import time; open('begun', 'w').close(); time.sleep(4); open('late', 'w').close()"
+    talk = f"subprocess.Popen([sys.executable, '-c', {late!r}])\nwhile True: print('x' * 9999)\n"
+    talk = f"import subprocess, sys\n{talk}"
+    (tmp_path / "talk.py").write_text(talk)
+    section = ProgramSection(
+        command=f"{sys.executable} talk.py", function="", timeout_s=2.0, simulated=True, directory=str(tmp_path)
+    )
+    tracemalloc.start()
+    try:
+        with pytest.raises(subprocess.TimeoutExpired):
+            run_program(section, "A")
+        assert tracemalloc.get_traced_memory()[1] < 20e6
+    finally:
+        tracemalloc.stop()
+    assert (tmp_path / "begun").exists()
+    time.sleep(4.0)
+    assert not (tmp_path / "late").exists()
 
 
 @pytest.mark.parametrize(

@@ -9,6 +9,7 @@ import os
 import socket
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator
 
 import numpy as np
@@ -267,6 +268,9 @@ def links_of_its_own(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pyte
         monkeypatch.setattr(os, "openpty", open_and_keep)
     with kept:
         yield
+    until = time.monotonic() + 30  # what a test has started may still be ending
+    while list(claims.iterdir()) and time.monotonic() < until:
+        time.sleep(0.02)
     assert not list(claims.iterdir())
 
 

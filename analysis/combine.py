@@ -24,6 +24,7 @@ BY_CHANCE = (Flag.COLOURED_NOISE, Flag.MISFIT, Flag.PARTS_DIFFER, Flag.RATE_WAND
 BY_CHANCE_SHARE = 0.05  # tests of the residual raise these flags in well under this share of faultless records
 
 
+UNLIKE = 5.0  # times what noise explains: such a scatter is that of records that do not belong together
 RATES_DIFFER = 0.002  # range of the beat frequencies, over their mean, beyond which one setting was not one rate
 
 SHOWN_PHASE = 5.0
@@ -54,7 +55,8 @@ def combine_estimates(estimates: LockInEstimate, input_rate: Floats | None = Non
         larger than their uncertainty explains, from the scatter, and `noise_model` says so. `flags` holds the bits
         of the records
         used, those that chance can raise only if more records have them than chance explains; `phase_turns`, or
-        `misfit` where single records do not show their phases, if the phases disagree; `beat_wanders`.
+        `misfit` where single records do not show their phases, if the phases disagree; `beat_wanders`;
+        `records_differ`.
 
     Raises
     ------
@@ -85,6 +87,8 @@ def combine_estimates(estimates: LockInEstimate, input_rate: Floats | None = Non
     beats, beats_u = _mean_frequency(used)
     if _wander(used, value, None if input_rate is None else np.asarray(input_rate).ravel()[usable]):
         flags |= Flag.BEAT_WANDERS
+    if together.inflation > UNLIKE:
+        flags |= Flag.RECORDS_DIFFER
     if np.ptp(used.amplitude) > AMPLITUDE_SCATTER * used.amplitude.max():
         flags |= Flag.AMPLITUDE_LOST
     low, high = (abs(mean), abs(mean)) if rate_u == 0 else _interval(abs(mean), rate_u, together.stretch)
@@ -166,6 +170,7 @@ class _CoherentMean:
     weights: Floats
     rate_u: float  # standard uncertainty along its own direction, and across it from noise alone
     across_u: float
+    inflation: float  # the part of rate_u that their scatter asks for
     stretch: float  # factor for the 95 % interval
     unequal: bool  # whether they scatter by more than their uncertainty explains, along and across
     phases_differ: bool
@@ -201,7 +206,8 @@ def _mean_of(used: LockInEstimate, each: _ComplexRates) -> _CoherentMean:
         tangential.add(turned.imag, each.tangential[some], w)
     inflation, stretch, unequal = radial.said()
     rate_u = float(np.hypot(np.sqrt(by_noise), by_misfit)) * inflation
-    return _CoherentMean(mean, weights, rate_u, float(np.sqrt(across)), stretch, unequal, tangential.said()[2])
+    across_u, phases_differ = float(np.sqrt(across)), tangential.said()[2]
+    return _CoherentMean(mean, weights, rate_u, across_u, inflation, stretch, unequal, phases_differ)
 
 
 @dataclass(frozen=True)

@@ -31,6 +31,7 @@ class Flag(IntFlag):
     COPY = 1 << 25
     MAINS = 1 << 26
     MAINS_BESIDE = 1 << 27
+    RECORDS_DIFFER = 1 << 28
 
 
 FATAL = Flag.NO_BEAT | Flag.CONSTANT | Flag.TOO_FEW_SAMPLES | Flag.NOT_LOCK_IN_LIKE | Flag.COPY
@@ -73,8 +74,10 @@ _SENTENCES = {
     "one that was used; its error goes 1 : 1 into the lock-in rate.",
     Flag.RATE_MISMATCH: "The given rate is not the one that beat and second harmonic show: see that it is the "
     "rate on the gyro's axis, that the scale factor is right, and that a faster time base shows the same beat.",
-    Flag.BEAT_WANDERS: "The beat frequency differs between records of one setting by more than 0.2 %, and not as "
-    "a known rate does: look at the records one by one for a table that stopped, or a bench that was restarted.",
+    Flag.BEAT_WANDERS: "The beat moved by more than 0.2 % between records of one setting, and not as a known rate "
+    "does. Look at the records one by one for a table that stopped, or a bench that was restarted.",
+    Flag.RECORDS_DIFFER: "The lock-in rates of single records lie five times as far apart as noise explains. A "
+    "mean of unlike records means little: look at each (--full), leave out those of another state (--exclude).",
     Flag.PHASE_TURNS: "The backscatter phase turned between the records: their sizes were averaged, not their "
     "complex values. Wait until mirrors and frame are warm, or take the records faster.",
     Flag.MAINS: "A beat at the frequency of the mains with next to no second harmonic: hum looks like that. Take "

@@ -53,7 +53,10 @@ def result(found: LockInEvaluation, run: SavedRun | None = None, settings: Setti
         tables = (rates_table(found.several),)
     elif len(found.names) > 1:
         tables = (records_table(found, _RECORDS_SHOWN),)
-    said = [flag_sentence(found, name) for name in found.flags if name not in _ANSWERED | _failing(found)]
+    moved, moved_words = _beat_moved(found)
+    answered = _ANSWERED - {"beat_wanders"} if moved > _MOVED_MOST else _ANSWERED
+    worst_first = sorted(found.flags, key=lambda name: name != "records_differ")
+    said = [flag_sentence(found, name) for name in worst_first if name not in answered | _failing(found)]
     if found.budget is not None and (doubt := doubt_sentence(found.budget)):
         said.append(doubt)
     return Result(
@@ -63,7 +66,7 @@ def result(found: LockInEvaluation, run: SavedRun | None = None, settings: Setti
         quantities=QUANTITIES,
         lines=tuple(_lines(found)),
         summary=_summary(found),
-        brief=_brief(found),
+        brief=_brief(found, moved_words),
         sentences=(
             *rates_sentences(found),
             *table_sentences(found),
@@ -101,6 +104,8 @@ def _document(found: LockInEvaluation) -> dict[str, Any]:
 _ANSWERED = {"coloured_noise", "rate_wander", "phase_turns", "beat_wanders", "copy"}
 """Flags of what the fit has taken into account, or of what no record's own reference minds."""
 
+_MOVED_MOST = 0.01  # share by which the beat of one setting may move before its result is doubtful
+
 _FAILING = {"table_mismatch", "scale_factor_mismatch"}
 """Flags of checks that say that something does not fit together."""
 
@@ -125,7 +130,23 @@ def _lines(found: LockInEvaluation) -> list[str]:
     return lines if missed or found.truth is None else [*lines, truth_sentence(found)]
 
 
-def _brief(found: LockInEvaluation) -> Rows:
+def _beat_moved(found: LockInEvaluation) -> tuple[float, str]:
+    """By what share the beat of one setting has moved, and in words; after which record, where it is a step."""
+    if "beat_wanders" not in found.flags:
+        return 0.0, ""
+    wandered: list[tuple[float, str]] = []
+    groups = () if found.several is None else found.several.groups
+    settings = [group.rows for group in groups if Flag.BEAT_WANDERS & int(group.combined.flags)]
+    for rows in settings or [np.arange(len(found.names))]:
+        rows = rows[found.each.usable[rows]]
+        beats = found.each.beat_frequency[rows]
+        share, steps = float(np.ptp(beats) / beats.mean()), np.abs(np.diff(beats))
+        after = f" after record {found.names[rows[steps.argmax()]]}" if 2 * steps.max() > np.ptp(beats) else ""
+        wandered.append((share, f"BEAT MOVED {100 * share:.2g} %{after}"))
+    return max(wandered)
+
+
+def _brief(found: LockInEvaluation, moved: str) -> Rows:
     """The value, what was removed, what was checked, records, and what would help most: a line each."""
     rows: list[tuple[str, str]] = []
     if found.usable:
@@ -136,7 +157,7 @@ def _brief(found: LockInEvaluation) -> Rows:
     fit = None if several is None else several.by_beat
     if fit is not None and (said := separated_words(fit)):
         rows.append(("removed", said.removesuffix(": found and removed")))
-    checks = []
+    checks = [moved] if moved else []
     if check is not None:
         checks.append("beat and table DIFFER" if "table_mismatch" in found.flags else "beat and table agree")
         other = "DIFFERS" if "scale_factor_mismatch" in found.flags else "agrees"

@@ -44,7 +44,8 @@ class Taken:
         """The failure, with what to do next; only where there is one."""
         if self.failure is None:
             raise ValueError("nothing has failed")
-        told = f"{self.failure.message} (go on with --resume {self.path.parent})"
+        further = f"go on with --resume {self.path.parent}" if open_run(self.path).records else "no record is kept"
+        told = f"{self.failure.message} ({further})"
         return Failure(self.failure.kind, told, self.failure.exit_code)
 
 

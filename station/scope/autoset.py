@@ -16,7 +16,7 @@ from instrument.scpi import DIVISIONS, LEVELS_PER_DIVISION, POINTS, SCAN_FROM, T
 from station.errors import NoUsableSignal
 from station.results.result import with_prefix
 
-_TRIALS_MAX = 30
+_TRIALS_MAX, _VERTICAL_TRIALS_MAX = 30, 6
 # The slowest time base, s/div, at which a trial costs next to nothing. Where the beat is not expected to be slow,
 # none is looked for beyond it: a trial holds fewer than 3 periods of one below 6 Hz.
 _QUICK_S = 0.05
@@ -123,7 +123,12 @@ def find_beat(
     if isinstance(start, KnobPositions):
         search.vertical = VerticalSetting(start.volts_per_division, start.position)
     else:
-        search.fit_vertical(max(_QUICK_S, first))
+        # roughly where a trial is short, then where the beat shows its whole height
+        shown = search.fit_vertical(first)
+        if shown is not None and first < _QUICK_S:
+            shown = search.fit_vertical(_QUICK_S)
+        if shown is not None and slowest <= _QUICK_S and _is_flat(shown):
+            raise search.no_beat(shown)
     search.set_time_base(first)
     for _ in range(_TRIALS_MAX):
         waveform = search.trial()
@@ -133,10 +138,7 @@ def find_beat(
         if seen is None:
             slower = next((step for step in TIME_BASES if step >= search.base * 4), math.inf)
             if search.base >= slowest or not math.isfinite(slower):
-                raise NoUsableSignal(
-                    f"no beat on the scope at any time base ({search.what_is_there()}): "
-                    "is the gyro running, the table turning, the cable on this channel?"
-                )
+                raise search.no_beat(waveform)
             last = next(step for step in TIME_BASES if step >= min(slowest, TIME_BASES[-1]))
             search.set_time_base(min(slower, last))
             continue
@@ -145,7 +147,7 @@ def find_beat(
             return search.found(seen)
         search.set_time_base(wanted)
     raise NoUsableSignal(
-        f"no steady beat on {settings.channel} after {_TRIALS_MAX} trial records ({search.what_is_there()}): "
+        f"no steady beat on {settings.channel} after {_TRIALS_MAX} trial records ({search.what_is_there(None)}): "
         "is the gyro running and the table turning?"
     )
 
@@ -170,8 +172,8 @@ def look_at_channels(scope: TDS2014, settings: Callable[[str], ScopeInput]) -> I
     for name in scope.channels:
         scope.set_channel(name, displayed=True, coupling="DC", probe=settings(name).probe)
         search = _BeatSearch(scope, settings(name), ScreenShape())
-        search.fit_vertical(_QUICK_S)
-        text, periodic = search.seen_on((name,)).get(name, (f"{name}: nothing triggers", False))
+        shown = search.fit_vertical(_QUICK_S)
+        text, periodic = search.seen_on((name,), shown).get(name, (f"{name}: nothing triggers", False))
         yield name, text, periodic
 
 
@@ -184,14 +186,16 @@ class _BeatSearch:
         self.base = _QUICK_S
         self._by_mains = True
 
-    def fit_vertical(self, base: float) -> None:
-        """Fit the vertical scale first: at a slow time base, s/div, where the beat shows its whole height."""
+    def fit_vertical(self, base: float) -> Waveform | None:
+        """Fit the vertical scale at a time base, s/div; the last record, None if no scale is found."""
+        # An alias that stands still looks flat at one scale and clipped at the next: that has no end.
         self.vertical = _set_vertical(self._scope, self._settings, self.vertical)
         self.set_time_base(base)
-        for _ in range(_TRIALS_MAX):
+        for _ in range(_VERTICAL_TRIALS_MAX):
             waveform = self.trial()
             if waveform is None or not self.improve_vertical(waveform):
-                return
+                return waveform
+        return None
 
     def trial(self) -> Waveform | None:
         """Take a trial record; ``None`` if nothing triggered it, as a slow time base may without the mains."""
@@ -216,25 +220,40 @@ class _BeatSearch:
         self.base = self._scope.set_timebase(base, position=0.0)
         self._set_trigger()
 
-    def what_is_there(self) -> str:
+    def no_beat(self, shown: Waveform | None) -> NoUsableSignal:
+        """What to say where a record shows none, and none at any other time base."""
+        return NoUsableSignal(
+            f"no beat on the scope at any time base ({self.what_is_there(shown)}): "
+            "is the gyro running, the table turning, the cable on this channel?"
+        )
+
+    def what_is_there(self, shown: Waveform | None) -> str:
         """In words what stands on the channel, and on the others that are displayed, at three time bases."""
         channel, scope = self._settings.channel.upper(), self._scope
         others = [name for name in scope.channels if name != channel and scope.channel_settings(name).displayed]
-        seen = self.seen_on((channel, *others))
+        seen = self.seen_on((channel, *others), shown)
         hint = next(
             (f" ({name} may be it: --channel {name})" for name in others if seen.get(name, ("", 0))[1]), ""
         )
         return f"{'; '.join(text for text, _ in seen.values())}{hint}"
 
-    def seen_on(self, names: tuple[str, ...]) -> dict[str, tuple[str, bool]]:
+    def seen_on(self, names: tuple[str, ...], shown: Waveform | None) -> dict[str, tuple[str, bool]]:
         """In words what stands on these channels, at three time bases, and whether it is periodic."""
         seen: dict[str, tuple[str, bool]] = {}
         for base in _LOOKED_AT:
-            self.set_time_base(base)
-            with contextlib.suppress(NoTrigger):
-                for name, waveform in zip(names, self._scope.acquire(names), strict=True):
-                    if not seen.get(name, ("", False))[1]:
-                        seen[name] = signal_words(name, waveform)
+            if base == _LOOKED_AT[-1] and shown is not None and len(names) == 1:
+                waveforms: Sequence[Waveform] = (shown,)  # it was looked just now
+            else:
+                self.set_time_base(base)
+                try:
+                    waveforms = self._scope.acquire(names)
+                except NoTrigger:
+                    continue
+            for name, waveform in zip(names, waveforms, strict=True):
+                if not seen.get(name, ("", False))[1]:
+                    seen[name] = signal_words(name, waveform)
+            if all(periodic for _, periodic in seen.values()):
+                break
         return seen
 
     def found(self, frequency: float) -> KnobPositions:
@@ -273,19 +292,28 @@ def signal_words(name: str, waveform: Waveform) -> tuple[str, bool]:
     """What stands on a channel, and whether it is periodic: at least three periods of one frequency."""
     volts = waveform.volts[np.isfinite(waveform.volts)]
     span = float(np.ptp(volts)) if volts.size else 0.0
-    if span < 5 * abs(waveform.preamble.ymult):  # levels
-        return f"{name}: flat at {with_prefix(float(volts.mean()) if volts.size else 0.0, 'V')}", False
+    if _is_flat(waveform):
+        level = abs(waveform.preamble.ymult)
+        at = round(float(volts.mean()) / level) * level if volts.size else 0.0
+        return f"{name}: flat at {with_prefix(at, 'V')}", False
+    size = f"{'over ' if waveform.clipped else ''}{with_prefix(span, 'V')} peak to peak"
     fit = fit_harmonics(waveform.volts, waveform.sample_interval, nan_policy="omit")
     frequency, (first, second, third) = float(fit.frequency), np.abs(fit.amplitudes).tolist()
     periods = frequency * waveform.sample_interval * len(waveform)
     if not (periods >= 3 and first**2 > np.var(volts)):  # half of the power and more
-        return f"{name}: {with_prefix(span, 'V')} peak to peak, no steady frequency", False
-    text = f"{name}: {with_prefix(span, 'V')} peak to peak at {with_prefix(frequency, 'Hz')}"
+        return f"{name}: {size}, no steady frequency", False
+    text = f"{name}: {size} at {with_prefix(frequency, 'Hz')}"
     if third > 0.2 * first and second < 0.1 * first:
         text += ", odd harmonics only: a logic output?"
     elif any(abs(frequency - order * mains) < 0.01 * frequency for mains in MAINS_HZ for order in (1, 2)):
         text += ": hum of the mains?"
     return text, True
+
+
+def _is_flat(waveform: Waveform) -> bool:
+    """Whether all of it lies within five levels."""
+    volts = waveform.volts[np.isfinite(waveform.volts)]
+    return not volts.size or float(np.ptp(volts)) < 5 * abs(waveform.preamble.ymult)
 
 
 def _set_vertical(

@@ -275,7 +275,8 @@ def finish(
     if as_json or (quiet and failure is not None):
         print_json(document if as_json else {"error": failure.as_json() if failure else None})
     elif not quiet:
-        say(f"saved   {run.path}{' and report.html' if 'report' in document else ''}")
+        if run.records:
+            say(f"saved   {run.path}{' and report.html' if 'report' in document else ''}")
         if run.facts.link_faults is not None and not run.facts.link_faults.clean:
             say(f"link    {run.facts.link_faults}")
     if lost is not None and lost is not failure:

@@ -376,7 +376,7 @@ def test_scatter_beyond_the_noise_enlarges_the_uncertainty():
     assert float(c.lock_in_rate_u) == pytest.approx(0.01 / np.sqrt(15), rel=0.5)
 
 
-def turning(phases, frequencies=None, noise=0.5):
+def turning(phases, frequencies=None, noise=0.5, lock_in_rate=0.005):
     """Records of WL/W = 0.1 at 2 kHz/deg and 0.05 deg/s, each with its own backscatter phase and rate."""
     rng = np.random.default_rng(40)
     rates = 0.05 * np.ones(len(phases)) if frequencies is None else np.asarray(frequencies)
@@ -384,7 +384,7 @@ def turning(phases, frequencies=None, noise=0.5):
         N * 4e-4,
         scale_factor=2000,
         input_rate=rates,
-        lock_in_rate=0.005,
+        lock_in_rate=lock_in_rate,
         amplitude=90,
         backscatter_phase=np.asarray(phases),
         initial_phase=rng.uniform(0, 6, len(phases)),
@@ -408,11 +408,21 @@ def test_the_scatter_of_beats_belongs_to_their_mean():
     rates = [0.05] * 22 + [0.0491] * 8  # a bench that was restarted
     together = combine_estimates(turning(np.zeros(30), rates))
     assert "beat_wanders" in flag_names(int(together.flags))
+    assert "records_differ" not in flag_names(int(together.flags))
     assert float(together.beat_frequency_u) == pytest.approx(2000 * 0.0009 * np.sqrt(22 * 8 / 30**3), rel=0.1)
     # each record is its own reference: that is no uncertainty of the lock-in rate
     assert float(together.lock_in_rate_u) < 1e-5
     known = combine_estimates(turning(np.zeros(30), rates), np.array(rates))
     assert "beat_wanders" not in flag_names(int(known.flags))
+
+
+def test_records_of_another_state_are_told():
+    """Their mean is no lock-in rate of either; twice the noise may be the noise that was taken too small."""
+    u = float(turning(np.zeros(2)).lock_in_rate_u.mean())
+    for apart, told in ((20 * u, True), (4 * u, False)):
+        together = combine_estimates(turning(np.zeros(18), lock_in_rate=0.005 - np.repeat([0.0, apart], [12, 6])))
+        assert "scatter" in together.noise_model
+        assert ("records_differ" in flag_names(int(together.flags))) == told
 
 
 @pytest.mark.parametrize("copies", [2, 10])

@@ -4,13 +4,16 @@ import html
 import math
 import re
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from analysis import Flag
 from analysis.budget import Budget, BudgetInput
 from station.lock_in.messages import remedy_sentence
-from station.lock_in.result import assumed_sentence, doubt_sentence
+from station.lock_in.result import assumed_sentence, doubt_sentence, result
 from station.report.show import render_report
 from station.results.result import Result
 from station.runs.store import open_run
@@ -93,6 +96,18 @@ def test_an_unstated_bound_that_does_not_rule_leaves_it_green(tmp_path: Path) ->
     assert [part.name for part in one.found.budget.not_stated] == ["gain_corner"]
     assert one.document()["budget"]["largest_part"] == "distortion"
     assert box(one) == "good"
+
+
+@pytest.mark.parametrize(("share", "state"), [(0.005, "stands"), (0.03, "doubtful")])
+def test_a_beat_that_moved_is_told_in_short(tmp_path: Path, share: float, state: str) -> None:
+    found = evaluated(tmp_path, toml=DISTORTION_MEASURED).found
+    beats = found.each.beat_frequency * np.repeat([1.0, 1.0 - share], [4, 2])
+    flags = np.asarray(int(found.combined.flags) | Flag.BEAT_WANDERS)
+    each, combined = replace(found.each, beat_frequency=beats), replace(found.combined, flags=flags)
+    said = result(replace(found, each=each, combined=combined))
+    (percent,) = re.findall(r"BEAT MOVED (\S+) % after record 4;", dict(said.brief)["checks"])
+    assert float(percent) == pytest.approx(100 * share, rel=0.1)
+    assert said.standing.state == state
 
 
 def test_a_truth_outside_the_interval_is_red(tmp_path: Path) -> None:

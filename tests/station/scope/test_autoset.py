@@ -97,12 +97,15 @@ def square(times: np.ndarray) -> np.ndarray:
     ],
 )
 def test_what_stands_there_instead_of_a_beat_is_told(signals: dict[int, Any], words: list[str]) -> None:
-    manager = resource_manager(scopes={NAME: SimulatedTDS2014(signals, clock=VirtualClock())})
+    clock = VirtualClock()
+    manager = resource_manager(scopes={NAME: SimulatedTDS2014(signals, clock=clock)})
     with TDS2014(NAME, resource_manager=manager) as scope:
         for channel in signals:
             scope.set_channel(channel, probe=1, scale=0.1, displayed=True)
+        began = clock.now()
         with pytest.raises(NoUsableSignal, match=r"no .*beat") as told:
             find_beat(scope, SETTINGS.scope, SETTINGS.measurement, start=150.0)
+        assert clock.now() - began < 5.0
     manager.close()
     assert [word for word in words if word not in str(told.value)] == []
 

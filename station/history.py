@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from analysis.control_chart import FEWEST, RULES, ControlChart, control_chart
-from station.campaign.record import NAME, PAGE_FILE, RECORD_FILE, as_csv
+from station.campaign.journal import PAGE_FILE
+from station.campaign.record import NAME, RECORD_FILE, as_csv
 from station.files import version
 from station.live.console import duration
 from station.measurements import MEASUREMENTS, measurement

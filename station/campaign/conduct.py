@@ -58,6 +58,8 @@ def conduct(
 ) -> CampaignOutcome:
     """Test one unit."""
     before = None if resumed is None else to_go_on_with(resumed, plan)
+    if before is not None and before.ended_at and not before.left:
+        return before.outcome()  # only its record was not written any more
     with bench_in_use(plan), undisturbed():  # a signal ends what is measured, and nothing of what closes the test
         kept = {} if evaluated is None else evaluated
         return _Conducting(plan, progress, operator, note, before, kept).conduct()
@@ -82,7 +84,7 @@ def to_go_on_with(directory: Path, plan: CampaignPlan) -> Written:
             f"{directory}: cannot be gone on with: {plan.file} has other steps, settings or limits now; "
             f"{directory / 'campaign.toml'} is the campaign that it was begun with"
         )
-    if not before.left:
+    if not before.is_unfinished:
         raise UsageError(f"{directory}: has come to its end, there is nothing to go on with")
     return before
 

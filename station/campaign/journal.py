@@ -210,7 +210,7 @@ class CampaignOutcome:
         return next(said, "")
 
 
-JOURNAL = "test.jsonl"
+JOURNAL, PAGE_FILE = "test.jsonl", "record.html"
 SCHEMA = {"name": "gyrolock test journal", "version": 1}
 _UNSAFE = re.compile(r"[^A-Za-z0-9._-]")
 
@@ -279,9 +279,16 @@ def tests_of(directory: Path, unit: str) -> list[Path]:
     return sorted(path.parent for path in folder.glob(f"*/{JOURNAL}"))
 
 
-def test_to_resume(directory: Path, unit: str) -> Path:
-    """Return the one test of a unit that has not come to its end."""
-    left = [path for path in tests_of(directory, unit) if read_journal(path).left]
+def test_to_resume(directory: Path, unit: str, named: str) -> Path:
+    """Return a test by its folder, by the beginning of its name, or (empty) the one that is unfinished."""
+    if named and os.path.exists(named):
+        return Path(named)
+    found = [path for path in tests_of(directory, unit) if path.name.startswith("" if named == "last" else named)]
+    if named:
+        if not found or (len(found) > 1 and named != "last"):
+            raise UsageError(f"{named}: {len(found)} tests of {unit} in {folder_of(directory, unit)} are named so")
+        return found[-1]
+    left = [path for path in found if read_journal(path).is_unfinished]
     if not left:
         raise UsageError(f"{folder_of(directory, unit)}: no test of {unit} is to be gone on with")
     if len(left) > 1:
@@ -306,6 +313,11 @@ class Written:
     failure: Failure | None  # what ended the last session before its time
     steps: Mapping[str, StepOutcome]  # steps that have ended, by key; of one that was done again the last
     begun: Mapping[str, tuple[str, ...]]  # when each step was begun, by key: again in each session
+
+    @property
+    def is_unfinished(self) -> bool:
+        """Whether a step is left, or the record, whose last file is the page."""
+        return bool(self.left) or not (self.directory / PAGE_FILE).exists()
 
     @property
     def left(self) -> tuple[PlannedStep, ...]:

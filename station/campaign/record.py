@@ -14,7 +14,7 @@ from datetime import date
 from pathlib import Path
 from typing import Any
 
-from station.campaign.journal import CampaignOutcome, InstrumentCard, StepOutcome
+from station.campaign.journal import PAGE_FILE, CampaignOutcome, InstrumentCard, StepOutcome
 from station.campaign.messages import LIMIT_COLUMNS, limits_table
 from station.errors import CannotWrite, StationError, one_line
 from station.files import inert, provenance, version
@@ -26,7 +26,7 @@ from station.runs.store import SavedRun, open_run
 from station.shell.finish import Evaluated, evaluate_run
 
 RECORD_FILE = "record.json"
-JUNIT_FILE, LIMITS_FILE, RECORDS_FILE, PAGE_FILE = "junit.xml", "limits.csv", "records.csv", "record.html"
+JUNIT_FILE, LIMITS_FILE, RECORDS_FILE = "junit.xml", "limits.csv", "records.csv"
 
 
 @dataclass(frozen=True)
@@ -57,10 +57,11 @@ def write_record(outcome: CampaignOutcome, *, evaluated: Mapping[str, Evaluated]
         JUNIT_FILE: junit_xml(document),
         LIMITS_FILE: limits_csv(document),
         RECORDS_FILE: records_csv(document),
-        PAGE_FILE: render_record(document, outcome, known),
     }
     try:
         paths = [write_page(folder / name, text) for name, text in texts.items()]
+        # pictures take their time: what programs read is there before
+        paths.append(write_page(folder / PAGE_FILE, render_record(document, outcome, known)))
     except OSError as error:
         raise CannotWrite(f"{folder}: the record of the test cannot be written ({one_line(error)})") from None
     return RecordFiles(document, *paths)

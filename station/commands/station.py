@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     from station.campaign.journal import CampaignOutcome, CampaignPlan
     from station.shell.finish import Evaluated
 
-_LATEST = "latest"
 _HOOK_S = 60.0  # the next unit waits no longer for a command of the campaign
 
 
@@ -43,9 +42,9 @@ _HOOK_S = 60.0  # the next unit waits no longer for a command of the campaign
 @click.option(
     "--resume",
     is_flag=False,
-    flag_value=_LATEST,
+    flag_value="",
     metavar="[DIR]",
-    help="Go on with a test that was cut short: the unit's only one, or the one in DIR.",
+    help="Go on with a test that was cut short: the unit's only one, 'last', or the one in DIR.",
 )
 @click.option(
     "--to", "--out", "out", type=click.Path(path_type=Path), metavar="DIR", help="Directory of tests [settings]."
@@ -152,13 +151,12 @@ def _test(plan: CampaignPlan, given: dict[str, Any]) -> int:
         raise CannotWrite(room.text)
     resumed = None
     if given["resume"] is not None:
-        named = given["resume"]
-        resumed = test_to_resume(plan.directory, plan.unit) if named == _LATEST else Path(named)
+        resumed = test_to_resume(plan.directory, plan.unit, given["resume"])
     labels = {name: given[name] for name in ("operator", "note")}
     with bench_in_use(plan):  # before anybody carries a unit to a bench that is taken
         if plan.ask_for_unit:
             _ask_for_unit(plan)
-        with shown(given, "station", unit=plan.unit, **labels) as progress, station_log(plan.directory) as log:
+        with station_log(plan.directory) as log, shown(given, "station", unit=plan.unit, **labels) as progress:
             progress.events.read_by(log)
             evaluated: dict[str, Evaluated] = {}
             texts = {name: text or "" for name, text in labels.items()}

@@ -59,8 +59,7 @@ def test_good_at_the_limit_and_bad(
     assert again.plan == outcome.plan
     assert [one.limits for one in again.steps] == [one.limits for one in outcome.steps]
     assert (again.verdict, again.exit_code) == (verdict, code)
-    with pytest.raises(UsageError, match="has come to its end"):
-        outcome_of(file, unit, resumed=outcome.directory)
+    assert outcome_of(file, unit, resumed=outcome.directory) == again  # nothing is taken again
 
 
 class Cable:
@@ -98,7 +97,6 @@ def test_steps_behind_a_failure_are_left_out_as_the_campaign_says(campaign: Writ
     assert (outcome.verdict, outcome.exit_code) == ("FAIL", 1)
     assert [step.verdict for step in outcome.steps] == ["FAIL"] and len(outcome.plan.steps) == 2
     assert read_journal(outcome.directory).left == ()  # `--resume` does not take what was left out on purpose
-    assert main(["station", str(file), "--unit", "BAD", "--resume", "--quiet"]) == 2
 
 
 @pytest.mark.parametrize(
@@ -234,6 +232,30 @@ def test_a_killed_test_goes_on_at_the_same_step(campaign: Write, capsys: pytest.
     assert Path(document["record"]).is_file()
     assert main([*arguments, "--resume"]) == 2
     assert "no test of BAD is to be gone on with" in capsys.readouterr().err
+
+
+def test_a_test_that_was_killed_before_its_record_was_written_gets_it(
+    campaign: Write, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arguments = ["station", str(campaign()), "--unit", "BAD", "--json"]
+    assert main(arguments) == 1
+    document = json.loads(capsys.readouterr().out)
+    folder = Path(document["record"]).parent
+    files = {
+        path: path.read_text() for path in folder.glob("*.*") if path.suffix in (".json", ".xml", ".csv", ".html")
+    }
+    assert len(files) == 5
+    for path in files:
+        path.unlink()
+    assert main([*arguments, "--resume", "last"]) == 1
+    again, times = json.loads(capsys.readouterr().out), dict.fromkeys(("started_at", "ended_at"))
+    assert again | times == document | times
+    assert {path for path in files if not path.exists()} == set()
+    assert (folder / "junit.xml").read_text() == files[folder / "junit.xml"]
+    assert main([*arguments, "--resume", folder.name[:4]]) == 2
+    assert "has come to its end" in capsys.readouterr().err
+    assert main([*arguments, "--resume", "1999"]) == 2
+    assert "0 tests of BAD" in capsys.readouterr().err
 
 
 def test_a_test_is_carried_out_by_one_program_and_by_the_campaign_that_began_it(campaign: Write) -> None:

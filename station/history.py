@@ -22,6 +22,7 @@ from station.live.console import duration
 from station.measurements import MEASUREMENTS, measurement
 from station.report.figure import ACCENT, LINE, SECOND, SOFT, TALL, svg_element
 from station.report.show import render_page, write_page
+from station.results.quantity import Value
 from station.results.result import PlacedFigure, Section
 
 if TYPE_CHECKING:
@@ -39,6 +40,7 @@ class Followed:
     axis: str = "value"  # what it is, and its unit
     limits: tuple[float | None, float | None] = (None, None)  # at least, at most
     failed: bool = False
+    title: str = ""  # the name as a person reads it: ``"lock-in rate: lock-in rate"``
 
 
 @dataclass(frozen=True)
@@ -109,20 +111,21 @@ def _numbers(step: Mapping[str, Any]) -> Iterator[Followed]:
         for value in group.values(result, lambda one: one.trend):
             of = f" {'by the' if group.each == 'by' else 'of'} {value.of}" if value.of else ""
             if math.isfinite(value.value):
-                axis = _axis(value.name, value.unit)
-                yield Followed(f"{name}{repeat}: {value.name}{of}", value.value, value.u, axis)
+                axis, title = _axis(value), f"{name}{repeat}: {value.quantity.words}{of}"
+                yield Followed(f"{name}{repeat}: {value.name}{of}", value.value, value.u, axis, title=title)
     for limit in step["limits"]:
         if isinstance(limit["value"], int | float):
             ends = limit["low_95"], limit["high_95"]
             u = math.nan if None in ends else (ends[1] - ends[0]) / 3.92
-            axis, limits = _axis(limit["number"], limit["unit"]), (limit["at_least"], limit["at_most"])
+            value, limits = Value.from_json({"of": "", **limit}), (limit["at_least"], limit["at_most"])
             of, failed = f"{name}{repeat}: {limit['name']}", limit.get("verdict") == "FAIL"
-            yield Followed(of, float(limit["value"]), u, axis, limits, failed)
+            title = f"{name}{repeat}: {value.words}"
+            yield Followed(of, float(limit["value"]), u, _axis(value), limits, failed, title)
 
 
 def failures(tests: Iterable[PastTest]) -> list[tuple[str, int]]:
     """Limits that were not held, with the number of tests, from the most frequent on."""
-    return Counter(one.name for test in tests for one in test.numbers if one.failed).most_common()
+    return Counter(one.title for test in tests for one in test.numbers if one.failed).most_common()
 
 
 def history_csv(tests: Iterable[PastTest], number: str = "") -> str:
@@ -138,10 +141,9 @@ def history_csv(tests: Iterable[PastTest], number: str = "") -> str:
     return as_csv([*about, *names], rows)
 
 
-def _axis(key: str, unit: str | None) -> str:
+def _axis(value: Value) -> str:
     """A number as the axis of a picture: what it is, and its unit."""
-    words = (key.rpartition("_")[0] if unit else key).replace("_", " ").replace("lock in", "lock-in")
-    return f"{words}, {unit}" if unit else words
+    return f"{value.quantity.words}, {value.unit}" if value.unit else value.quantity.words
 
 
 # --------------------
@@ -162,6 +164,11 @@ class ControlSeries:
     chart: ControlChart
 
     @property
+    def title(self) -> str:
+        """The same, as a person reads it."""
+        return f"{self.of}: {self.numbers[-1].title}"
+
+    @property
     def us(self) -> tuple[float, ...]:
         """Standard uncertainty of each value; nan where nobody knows it."""
         return tuple(one.u for one in self.numbers)
@@ -176,7 +183,7 @@ class ControlSeries:
         """What the chart says, in words."""
         chart = self.chart
         if chart.values.size < FEWEST:
-            return [f"{chart.values.size} of {FEWEST} values that limits need: there are none yet."]
+            return [f"No limits yet: they need {FEWEST} values, there are {chart.values.size}."]
         if not chart.has_limits:
             return ["All values of the baseline are the same: there are no limits."]
         said = [
@@ -330,7 +337,7 @@ def _signals_of(last: PastTest, tests: list[PastTest]) -> list[str]:
     for course in courses(tests):
         if course.tests[-1] is last:
             rules = [one.rule for one in course.chart.signals if one.place == len(course.tests) - 1]
-            said += [f"{course.name} {RULES[rule]}" for rule in rules]
+            said += [f"{course.numbers[-1].title} {RULES[rule]}" for rule in rules]
     return said
 
 
@@ -373,7 +380,7 @@ def write_index(
     ]
     sections = [
         Section(
-            f"{course.of}: {course.name}",
+            course.title,
             figures=(PlacedFigure(course_svg(course, f"chart{place}"), _CAPTION),),
             sentences=tuple(course.sentences),
         )

@@ -274,7 +274,7 @@ def _print_history(tests: list[PastTest], charts: list[ControlSeries], written: 
     for name, count in failures(tests):
         console.print(f"FAIL in {count} of {len(tests)} tests: {name}")
     for one in charts:
-        console.print(f"\n{one.of}: {one.name}", style="bold")
+        console.print(f"\n{one.title}", style="bold")
         for sentence in one.sentences:
             console.print(f"• {sentence}")
     if written is not None:

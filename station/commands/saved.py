@@ -206,8 +206,7 @@ def export_command(
             done = export(sources, to, records_of_part=part_records or RECORDS_OF_PART, left_out=left_out)
         else:
             done = write_tek_files(sources, Path(str(tek_csv)), replace=replace, left_out=left_out)
-    for one in left_out:
-        remark(f"left out: {one}")
+    _tell_left_out(left_out)
     if as_json:
         print_json(
             {
@@ -224,6 +223,17 @@ def export_command(
         )
         say(f"saved   {done.records} records of {done.sources} sources in {where}", answer=True)
     return EXIT_USAGE if any(one.reason != NO_RECORD for one in left_out) else EXIT_OK
+
+
+def _tell_left_out(left_out: list[ExcludedRecord]) -> None:
+    """Name what could not be read, and count what holds nothing."""
+    from station.sources.batches import NO_RECORD
+
+    empty = [one for one in left_out if one.reason == NO_RECORD]
+    for one in left_out:
+        if one not in empty[1:]:
+            more = f", as {len(empty) - 1} more" if one in empty and len(empty) > 1 else ""
+            remark(f"left out: {one}{more}")
 
 
 def _opened(paths: tuple[str, ...], left_out: list[ExcludedRecord], progress: Progress) -> Iterator[Source]:
@@ -288,8 +298,7 @@ def compare_command(first: str, second: str, config: Path | None, as_json: bool,
             )
         )
         a, b = with_headlines(a, b, workers, config)
-    for one in (*a.left_out, *b.left_out):
-        remark(f"left out: {one}")
+    _tell_left_out([*a.left_out, *b.left_out])
     found = compare(a, b)
     if given["plot"] is not None:
         from station.reanalysis.compare import write_comparison_plot

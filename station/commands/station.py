@@ -137,7 +137,9 @@ def _checked(file: Path, plans: list[CampaignPlan], as_json: bool) -> int:
         print_json({**said, "warnings": warned})
     else:
         limits = sum(len(step.limits) for step in steps)
-        say(f"{file}: {len(steps)} steps, {limits} limits, all well for {', '.join(named)}", answer=True)
+        sizes = {"step": len(steps), "limit": limits}
+        counted = ", ".join(f"{size} {name}{'s' if size != 1 else ''}" for name, size in sizes.items())
+        say(f"{file}: {counted}, all well for {', '.join(named)}", answer=True)
     return EXIT_OK
 
 
@@ -237,7 +239,8 @@ def _tell(outcome: CampaignOutcome, given: dict[str, Any], page: Path | None) ->
             files = {"page": str(page), "record": str(page.with_name("record.json"))}
         print_json({**plain(outcome_document(outcome)), **files})
     else:
-        say_briefly(f"{outcome.plan.unit}; {outcome.verdict or 'no limits'}; {outcome.directory}")
+        why = f": {outcome.message}" if outcome.message else ""
+        say_briefly(f"{outcome.plan.unit}; {outcome.verdict or 'no limits'}{why}; {outcome.directory}")
         print_outcome(outcome)
         if page is not None:
             say(f"record  {page}")

@@ -22,6 +22,7 @@ from station.shell.options import (
     run_measurement,
     run_options,
     transcript_option,
+    unused_config_option,
 )
 from station.terminal import print_json, say, say_briefly
 
@@ -43,6 +44,7 @@ from station.terminal import print_json, say, say_briefly
 @click.option("--baud", type=click.IntRange(50, 12_000_000), metavar="N", help="Only this baud rate.")
 @click.option("--poll", is_flag=True, help="Ask gyros that send only when they are asked; this sends bytes.")
 @transcript_option
+@unused_config_option
 @json_option
 def sniff_command(
     source: str, own: tuple[Path, ...], seconds: float, baud: int | None, poll: bool, as_json: bool
@@ -116,6 +118,7 @@ def _is_port(source: str, path: Path) -> bool:
 )
 @click.option("--floats", is_flag=True, help="Doubles in the C header instead of words.")
 @click.option("--replace", is_flag=True, help="Write over files that are there.")
+@unused_config_option
 @json_option
 def constants(run: Path, as_json: bool, **given: Any) -> int:
     """Constants for the gyro's own logic: VHDL, C and CSV; word widths, and what the rounding costs.

@@ -142,7 +142,8 @@ def _beat_moved(found: LockInEvaluation) -> tuple[float, str]:
         beats = found.each.beat_frequency[rows]
         share, steps = float(np.ptp(beats) / beats.mean()), np.abs(np.diff(beats))
         after = f" after record {found.names[rows[steps.argmax()]]}" if 2 * steps.max() > np.ptp(beats) else ""
-        wandered.append((share, f"BEAT MOVED {100 * share:.2g} %{after}"))
+        moved = "BEAT MOVED" if share > _MOVED_MOST else "beat moved"
+        wandered.append((share, f"{moved} {100 * share:.2g} %{after}"))
     return max(wandered)
 
 

@@ -123,10 +123,7 @@ def find_beat(
     if isinstance(start, KnobPositions):
         search.vertical = VerticalSetting(start.volts_per_division, start.position)
     else:
-        # roughly where a trial is short, then where the beat shows its whole height
         shown = search.fit_vertical(first)
-        if shown is not None and first < _QUICK_S:
-            shown = search.fit_vertical(_QUICK_S)
         if shown is not None and slowest <= _QUICK_S and _is_flat(shown):
             raise search.no_beat(shown)
     search.set_time_base(first)
@@ -172,7 +169,7 @@ def look_at_channels(scope: TDS2014, settings: Callable[[str], ScopeInput]) -> I
     for name in scope.channels:
         scope.set_channel(name, displayed=True, coupling="DC", probe=settings(name).probe)
         search = _BeatSearch(scope, settings(name), ScreenShape())
-        shown = search.fit_vertical(_QUICK_S)
+        shown = search.fit_vertical(_LOOKED_AT[1])
         text, periodic = search.seen_on((name,), shown).get(name, (f"{name}: nothing triggers", False))
         yield name, text, periodic
 
@@ -186,16 +183,21 @@ class _BeatSearch:
         self.base = _QUICK_S
         self._by_mains = True
 
-    def fit_vertical(self, base: float) -> Waveform | None:
-        """Fit the vertical scale at a time base, s/div; the last record, None if no scale is found."""
-        # An alias that stands still looks flat at one scale and clipped at the next: that has no end.
+    def fit_vertical(self, quick: float) -> Waveform | None:
+        """Fit the vertical scale; the last record, None if no scale is found."""
+        # Roughly where a trial is short, then where the beat shows its whole height. An alias that stands still
+        # looks flat at one scale and clipped at the next: that has no end.
         self.vertical = _set_vertical(self._scope, self._settings, self.vertical)
-        self.set_time_base(base)
-        for _ in range(_VERTICAL_TRIALS_MAX):
-            waveform = self.trial()
-            if waveform is None or not self.improve_vertical(waveform):
-                return waveform
-        return None
+        waveform = None
+        for base in dict.fromkeys((quick, max(quick, _QUICK_S))):
+            self.set_time_base(base)
+            for _ in range(_VERTICAL_TRIALS_MAX):
+                waveform = self.trial()
+                if waveform is None or not self.improve_vertical(waveform):
+                    break
+            else:
+                return None
+        return waveform
 
     def trial(self) -> Waveform | None:
         """Take a trial record; ``None`` if nothing triggered it, as a slow time base may without the mains."""

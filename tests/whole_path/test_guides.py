@@ -134,14 +134,17 @@ def test_every_command_of_a_guide_runs(page: str, sample: Path) -> None:
     all_run(page, sample, measuring=True)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("page", ["README.md", "docs/operator.md"])
-def test_what_a_page_shows_of_measure_is_what_it_prints(page: str, tmp_path: Path) -> None:
+def test_what_the_pages_show_of_measure_is_what_it_prints(tmp_path: Path) -> None:
+    """To one unit of the last digit, which another processor may round otherwise."""
     out = io.StringIO()
     with contextlib.chdir(tmp_path), contextlib.redirect_stdout(out), contextlib.redirect_stderr(io.StringIO()):
         assert main(["measure", "--no-report"]) == 0
-    printed = " ".join(out.getvalue().split())
-    text = (HOME / page).read_text(encoding="utf-8")
-    shown = re.findall(r"^ {4}((?:lock-in rate|removed|checks|records|quality) {2}.*)$", text, re.M)
-    assert len(shown) > 2
-    assert [line for line in shown if " ".join(line.split()) not in printed] == []
+    rows = re.compile(r"^(?: {4})?((?:lock-in rate|removed|quality) {2}.*)$", re.M)
+    printed = rows.findall(out.getvalue())
+    assert len(printed) == 3
+    number = re.compile(r"\d+\.?\d*")
+    for page in ("README.md", "docs/operator.md"):
+        shown = rows.findall((HOME / page).read_text(encoding="utf-8"))
+        assert [number.sub("0", line) for line in shown] == [number.sub("0", line) for line in printed], page
+        for one, other in zip(number.findall(" ".join(shown)), number.findall(" ".join(printed)), strict=True):
+            assert abs(float(one) - float(other)) < 1.5 * 10.0 ** -len(one.partition(".")[2]), (page, one, other)

@@ -136,9 +136,11 @@ MODELS = {row[0]: _model(*row) for row in _ROWS}
 
 
 def find_model(name: str) -> Model:
-    """Look up a model by its name; ValueError names those that are spelled alike."""
+    """Look up a model by its name, or a family's first (``TBS1000B``); ValueError names those spelled alike."""
     wanted = name.upper().replace(" ", "")
-    if wanted in MODELS:
-        return MODELS[wanted]
+    family = re.compile(re.escape(wanted).replace("000", r"\d{3}"))
+    for one in (wanted, *MODELS):
+        if one in MODELS and family.fullmatch(one):
+            return MODELS[one]
     known = difflib.get_close_matches(wanted, MODELS, 3, 0.7) or list(MODELS)
     raise ValueError(f"there is no simulated model {name!r}; choose one of {', '.join(known)}")

@@ -36,6 +36,15 @@ def test_scopes_of_other_records_are_refused_by_name(model: str) -> None:
         parse_identity(f"TEKTRONIX,{model},C010203,CF:91.1CT FV:v1.0")
 
 
+@pytest.mark.parametrize(
+    "family", ["TDS1000", "TDS2000", "TDS2000B", "TDS2000C", "TPS2000", "TBS1000", "TBS1000B"]
+)
+def test_a_family_is_one_of_its_models(family: str) -> None:
+    found = find_model(family).name
+    assert found in MODELS and len(found) == len(family)
+    assert (found[:4], found[7:]) == (family[:4], family[7:])
+
+
 def test_an_unknown_model_is_told_the_nearest_names() -> None:
     with pytest.raises(ValueError, match=r"'TDS2012D'; choose one of TDS2012B, TDS2012C|TDS2012") as error:
         find_model("TDS2012D")

@@ -71,7 +71,7 @@ def test_a_bench_whose_reference_unit_is_as_always_may_test(tmp_path: Path) -> N
         (STEADY, {}, NOW - timedelta(hours=2), "lies in the future: set the clock"),
         (STEADY, {"verdict": "FAIL", "message": "too high"}, NOW, r"REF was FAIL .* \(too high\)"),
         (STEADY, {"verdict": "ERROR", "message": "no scope"}, NOW, "REF was ERROR"),
-        ([*STEADY, 0.0105], {}, NOW, "out of control: REF .* lock-in: lock_in_rate_dps beyond 3 sigma"),
+        ([*STEADY, 0.0105], {}, NOW, "out of control: REF .* lock-in: lock-in rate beyond 3 sigma"),
         ([*STEADY, *[0.010013] * 8], {}, NOW, "8 in a row on one side"),
     ],
 )
@@ -168,7 +168,7 @@ def failed(name: str, value: float) -> dict[str, Any]:
     """A limit of a step, as far as histories read it."""
     return {
         "name": name, "number": name, "unit": None, "value": value, "low_95": value - 1, "high_95": value + 1,
-        "at_least": 0.0, "at_most": 5.0, "verdict": "FAIL" if value > 5 else "PASS",
+        "of": None, "quantity": name, "at_least": 0.0, "at_most": 5.0, "verdict": "FAIL" if value > 5 else "PASS",
     }  # fmt: skip
 
 

@@ -105,7 +105,7 @@ def test_a_beat_that_moved_is_told_in_short(tmp_path: Path, share: float, state:
     flags = np.asarray(int(found.combined.flags) | Flag.BEAT_WANDERS)
     each, combined = replace(found.each, beat_frequency=beats), replace(found.combined, flags=flags)
     said = result(replace(found, each=each, combined=combined))
-    (percent,) = re.findall(r"BEAT MOVED (\S+) % after record 4;", dict(said.brief)["checks"])
+    (percent,) = re.findall(r"beat moved (\S+) % after record 4;", dict(said.brief)["checks"].lower())
     assert float(percent) == pytest.approx(100 * share, rel=0.1)
     assert said.standing.state == state
 

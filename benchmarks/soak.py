@@ -4,12 +4,16 @@ A station takes one run a day on a serial line. One message in a hundred is spoi
 simulated scope knows; every twentieth hour it is switched off and on, its cable is pulled, or the program is
 killed, and the run is gone on with. Every saved record is compared with what the scope showed, and every
 acquisition may be saved once.
+
+With `--station` a campaign instead: two units a day, one good and one bad, in this process, whose memory is
+weighed.
 """
 
 from __future__ import annotations
 
 import argparse
 import gc
+import io
 import os
 import resource
 import sys
@@ -18,7 +22,7 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import chdir, contextmanager, redirect_stderr, redirect_stdout, suppress
 from dataclasses import dataclass, field
 from itertools import cycle
 from pathlib import Path
@@ -28,6 +32,9 @@ from benchmarks.links.recording_scope import RecordingScope
 from instrument import ATTEMPTS, RECONNECT_FOR, TDS2014, InstrumentError, Persistence, Preamble
 from instrument.simulated import Fault, Faults, VirtualClock, resource_manager
 from instrument.simulated.faults import FaultKind
+from station.cli import main as gyrolock
+from station.errors import EXIT_FAIL, EXIT_OK
+from station.files import given_back
 from station.lock_in.served import at_slow_rate
 from station.lock_in.settings import Settings, default_settings
 from station.lock_in.take import take_on
@@ -277,7 +284,8 @@ class Station:
 
     def _weigh(self) -> None:
         gc.collect()
-        self.outcome.memory_mb.append(_resident_mb())
+        with given_back():
+            self.outcome.memory_mb.append(_resident_mb())
         folder = Path("/proc/self/fd")
         self.outcome.descriptors.append(len(os.listdir(folder)) if folder.exists() else 0)
         self.outcome.threads.append(threading.active_count())
@@ -306,18 +314,47 @@ def soak(records: int, days: int, *, seed: int = 5, tell: Callable[[str], None] 
         return Station(Path(folder), max(1, records // days), days, seed=seed).month(tell)
 
 
+def station(days: int, tell: Callable[[str], None]) -> int:
+    """Test two units a day by the example of a campaign; 0 if memory is flat after the first day."""
+    weighed: list[tuple[float, int]] = []
+    with tempfile.TemporaryDirectory() as folder, chdir(folder), redirect_stdout(io.StringIO()) as out:
+        if gyrolock(["settings", "campaign"]):
+            raise RuntimeError("no example of a campaign")
+        Path("campaign.toml").write_text(out.getvalue(), encoding="utf-8")
+        for day in range(1, days + 1):
+            for unit, expected in (("RLG-001", EXIT_OK), ("RLG-003", EXIT_FAIL)):
+                with redirect_stderr(io.StringIO()):
+                    code = gyrolock(["station", "campaign.toml", "--unit", unit, "--quiet"])
+                if code != expected:
+                    raise RuntimeError(f"day {day}: {unit} ended with {code}")
+            gc.collect()
+            with given_back():
+                weighed.append((_resident_mb(), len(os.listdir("/proc/self/fd"))))
+            tell(f"day {day}: {weighed[-1][0]:.1f} MB")
+    (first, opened), (last, left) = weighed[0], weighed[-1]
+    most = max(memory for memory, _ in weighed[1:]) if days > 1 else first
+    sys.stdout.write(
+        f"{2 * days} tests of a station in one process, {days} days\nmemory {first:.1f} MB after the first day, "
+        f"{last:.1f} MB after the last, {most:.1f} MB at most between; descriptors {opened} and {left}\n"
+    )
+    return 0 if most < first + 2.0 and left <= opened + 2 else 1
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Run, print what became of the records, and return 0 if none was wrong or lost and nothing grew."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.soak", description=__doc__)
     parser.add_argument("--records", type=int, default=RECORDS, help=f"default {RECORDS}")
     parser.add_argument("--days", type=int, default=DAYS, help=f"simulated days, one run each; default {DAYS}")
     parser.add_argument("--seed", type=int, default=5)
+    parser.add_argument("--station", action="store_true", help="two tests a day in this process")
     options = parser.parse_args(arguments)
     began = time.perf_counter()
 
     def tell(text: str) -> None:
         sys.stderr.write(f"{text}, {time.perf_counter() - began:.0f} s\n")
 
+    if options.station:
+        return station(options.days, tell)
     outcome = soak(options.records, options.days, seed=options.seed, tell=tell)
     memory = outcome.memory_mb
     lines = [

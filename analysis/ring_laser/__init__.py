@@ -1,9 +1,4 @@
-"""A simulated ring laser gyro on a turning table: its beat, and what detector and bench add to it.
-
-`motion` the table, `gyro` the fringes at a given rate, `winking` those of a laser with slow gain, `beat` the phase
-over time, `detector` the volts with distortion and filters, `signals` the whole as functions of absolute time,
-`averaged` the mean of many stretches of it.
-"""
+"""A simulated ring laser gyro on a turning table: its beat, and what detector and bench add to it."""
 
 from analysis.ring_laser.detector import (
     Detector,
@@ -16,26 +11,5 @@ from analysis.ring_laser.detector import (
     smooth_interval,
     with_detector_noise,
 )
-from analysis.ring_laser.gyro import Gyro, RateMotion, axis_rate_on_table, beat_phase_on_table
+from analysis.ring_laser.gyro import Gyro, axis_rate_on_table, beat_phase_on_table
 from analysis.ring_laser.two_mode_laser import SteadyBeat, TwoModeLaser, Winking, steady_beat, symmetric_laser
-
-__all__ = [
-    "Detector",
-    "Gyro",
-    "NoisySignal",
-    "RateMotion",
-    "SteadyBeat",
-    "TwoModeLaser",
-    "Winking",
-    "axis_rate_on_table",
-    "beat_phase_on_table",
-    "beat_signal_on_table",
-    "detector_signal",
-    "mean_beat_on_table",
-    "signal_above",
-    "signal_bounds",
-    "smooth_interval",
-    "steady_beat",
-    "symmetric_laser",
-    "with_detector_noise",
-]

@@ -2,21 +2,4 @@
 
 from analysis.several_rates.fit import COUNTED, fit_again, fit_rate_ratios, fit_rates
 from analysis.several_rates.ratio_model import RatioData, ReceiverKnowledge, Reference, predicted_ratio
-from analysis.several_rates.result import Alternative, Model, ModelFit, RatesFit, RatesFlag, WithoutOneRate
-
-__all__ = [
-    "COUNTED",
-    "Alternative",
-    "Model",
-    "ModelFit",
-    "RatesFit",
-    "RatesFlag",
-    "RatioData",
-    "ReceiverKnowledge",
-    "Reference",
-    "WithoutOneRate",
-    "fit_again",
-    "fit_rate_ratios",
-    "fit_rates",
-    "predicted_ratio",
-]
+from analysis.several_rates.result import Model, RatesFit, RatesFlag

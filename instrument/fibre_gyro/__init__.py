@@ -1,8 +1,7 @@
 """The digital output of a fibre gyro, and its injection commands, on a serial line; and logs of it.
 
-The bytes of one output meet, in order: `link` (the port), `frame_stream` (where a frame begins), `frames` (checks
-and numbers, as `frame_format` describes them), `record_builder` (when, with `host_clock`), `columns`, `recording`.
-`sniff` finds out which description fits some bytes. `logs` reads and writes CSV files.
+Bytes meet, in order: `link` (the port), `frame_stream` (where a frame begins), `frames` (checks and numbers, as
+`frame_format` describes them), `recording`. `identify` finds out which description fits; `logs` reads files.
 """
 
 from instrument.errors import CommandRefused, FrameFormatError, NoAcknowledgement

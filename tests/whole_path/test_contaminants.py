@@ -234,11 +234,11 @@ def test_a_wrong_scale_factor_goes_one_to_one_into_the_result(tmp_path: Path) ->
 
 
 def test_a_scale_factor_that_drifts_shows_in_the_rate_of_the_table(tmp_path: Path) -> None:
-    drifting = measured(tmp_path, {"scale_factor_drift_ppm_per_hour": 20_000.0}, table={"settle_s": 900.0})
+    drifting = measured(tmp_path, {"scale_factor_drift_ppm_per_hour": 30_000.0}, table={"settle_s": 900.0})
     check = drifting.table_check
     assert check is not None
     # a quarter of an hour to the first sense of the fast run, another to the second, a third to the slow rate
-    by_hand = 1 + 0.02 * 1.5 * 900 / 3600
+    by_hand = 1 + 0.03 * 1.5 * 900 / 3600
     assert check.beat_over_table == pytest.approx(by_hand, abs=1e-3)
     # one curve through settings that do not fit together: it says so, and how little it knows then
     assert check.p_value < 0.01 and check.scale_factor_mismatch

@@ -141,7 +141,7 @@ def test_one_unit_after_the_other_by_bar_code(campaign: Write) -> None:
     os.close(keyboard)
     assert done.returncode == 1, done.stderr
     good, bad = done.stdout.splitlines()
-    assert good.startswith("GOOD; PASS; tests") and bad.startswith("BAD; FAIL: first: FAIL lock-in rate: 0.011")
+    assert good.startswith("GOOD; PASS; tests") and bad.startswith("BAD; FAIL: first: FAIL lock-in rate: 0.01")
     assert main(["station", str(file), "--loop", "--unit", "GOOD"]) == 2
 
 

@@ -2,6 +2,8 @@
 PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
+# Every process would compile our modules anew, and pytest all tests: a minute and a half of `make test`.
+export PYTHONDONTWRITEBYTECODE :=
 RUNS   := $(VENV)/.runs
 READY  := $(VENV)/.ready
 LOWEST := .venv-lowest

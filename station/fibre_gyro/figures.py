@@ -463,9 +463,10 @@ def result(found: FiguresEvaluation, run: SavedRun, settings: FogSettings) -> Re
     lines = tuple(line for one in found.axes for line in _lines(one, several=len(found.axes) > 1))
     by_run = (said for axis in found.axes for run in axis.all_runs for said in _to_watch_in(run))
     watched = (*(f"{one.sentence}." for one in found.left_out), *by_run)
+    worst = max(found.axes, key=lambda one: np.nan_to_num(one.nonlinearity_ppm, nan=-1.0))
     return Result(
         name="result",
-        value=f"Nonlinearity {found.largest('nonlinearity_ppm'):.3g} ppm of full scale",
+        value=f"Nonlinearity {_with_u(worst, 'nonlinearity')} of full scale",
         document=_document(found),
         quantities=QUANTITIES,
         lines=lines,
@@ -478,14 +479,14 @@ def result(found: FiguresEvaluation, run: SavedRun, settings: FogSettings) -> Re
 
 
 def _lines(one: AxisMerit, *, several: bool) -> tuple[str, ...]:
-    begin = f"Axis {one.axis}: nonlinearity {_ppm(one.nonlinearity_ppm)}, asymmetry" if several else "Asymmetry"
+    begin = f"Axis {one.axis}: nonlinearity {_with_u(one, 'nonlinearity')}, asymmetry" if several else "Asymmetry"
     runs, coefficient = f"{len(one.runs)} runs", f"{_ppm(one.temperature_coefficient_ppm)}/K"
     if one.scatter is not None:
         runs = f"95 %: {one.scatter.low_95:.3g} to {one.scatter.high_95:.3g}, {runs}"
     if math.isfinite(u := one.temperature_coefficient_u_ppm):
         coefficient = with_uncertainty(one.temperature_coefficient_ppm, u, "ppm/K")
     return (
-        f"{begin} {_ppm(one.asymmetry_ppm)}, repeatability {_ppm(one.repeatability_ppm)} ({runs}), temperature "
+        f"{begin} {_with_u(one, 'asymmetry')}, repeatability {_ppm(one.repeatability_ppm)} ({runs}), temperature "
         f"coefficient {coefficient}.",
         f"{f'K({one.axis})' if several else 'K'} = {with_uncertainty(one.scale_factor, one.scale_factor_u)} "
         f"{COUNTS_PER_DPS}.",
@@ -532,6 +533,11 @@ def _u_of_largest(axis: AxisMerit, name: str, u: str) -> float:
     """The largest of the runs is as uncertain as that run."""
     known = [run.figures for run in axis.runs if math.isfinite(getattr(run.figures, name))]
     return float(getattr(max(known, key=attrgetter(name)), u)) if known else math.nan
+
+
+def _with_u(axis: AxisMerit, name: str) -> str:
+    u = _u_of_largest(axis, f"{name}_ppm", f"{name}_u_ppm")
+    return with_uncertainty(getattr(axis, f"{name}_ppm"), u, "ppm")
 
 
 def _ppm(value: float) -> str:

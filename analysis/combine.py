@@ -147,11 +147,15 @@ def _mean_frequency(used: LockInEstimate) -> tuple[float, float]:
 
 def _wander(used: LockInEstimate, lock_in_rate: float, rate: Floats | None) -> bool:
     """Whether the beats differ by more than `RATES_DIFFER`, and than rates and noise explain."""
-    beats = used.beat_frequency
-    if rate is not None:
-        beats = beats / np.sqrt(np.maximum(rate**2 - lock_in_rate**2, (0.01 * rate) ** 2))
+    beats = used.beat_frequency if rate is None else as_at_one_rate(used.beat_frequency, rate, lock_in_rate)
     by_noise = 10 * used.beat_frequency_u.max() / used.beat_frequency.mean()
     return bool(np.ptp(beats) > max(RATES_DIFFER, by_noise) * beats.mean())
+
+
+def as_at_one_rate(beats: Floats, rate: Floats, lock_in_rate: float) -> Floats:
+    """Beats as they would be if all known rates, deg/s, were the mean of their sizes."""
+    above = np.sqrt(np.maximum(rate**2 - lock_in_rate**2, (0.01 * rate) ** 2))
+    return np.asarray(beats * (above.mean() / above))
 
 
 def _common_flags(flags: Ints) -> int:

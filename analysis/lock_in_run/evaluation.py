@@ -26,7 +26,7 @@ from analysis.budget import Reference as RateReference
 from analysis.budget.bench import bounded
 from analysis.budget.inputs import CORNERS, response_input, separated_input
 from analysis.channel import ChannelResponse
-from analysis.combine import combine_estimates, without_copies
+from analysis.combine import as_at_one_rate, combine_estimates, without_copies
 from analysis.flags import FATAL, Flag
 from analysis.frequency_method import FrequencyFit, fit_frequencies
 from analysis.harmonics import fit_harmonics
@@ -97,7 +97,7 @@ def evaluate(
     rates = None if axis is None else axis.rates
     combined = combine_estimates(each, rates) if several is None else combined_estimate(several)
     unknown = np.broadcast_to(math.nan, each.flags.shape)
-    found = LockInRun(method, each, combined, unknown, tilt, several=several, quadratures=quadratures)
+    found = LockInRun(method, each, combined, unknown, tilt, rates, several=several, quadratures=quadratures)
     # 4. the same by the table
     if axis is not None and tilt is not None:
         found = _checked_by_table(found, run, axis, knowledge)
@@ -415,10 +415,17 @@ class LockInRun:
     combined: LockInEstimate
     record_u: Floats  # (n_records,): deg/s; standard uncertainty of each record alone, every input counted
     tilt: Tilt | None = None  # where a table with known rate was used
+    axis_rates: Floats | None = None  # (n_records,): deg/s, by the table
     table_check: TableCheck | None = None
     several: SeveralRates | None = None  # where records were taken at several rates or in both senses
     quadratures: QuadratureResult | None = None  # where a second photodiode was recorded
     budget: Budget | None = None  # ``None`` without a lock-in rate
+
+    def beats(self, rows: Indices) -> Floats:
+        """Beats of some usable records in Hz, as they would be at one rate where their rates are known."""
+        beats = self.each.beat_frequency[rows]
+        rates = None if self.axis_rates is None else self.axis_rates[rows]
+        return beats if rates is None else as_at_one_rate(beats, rates, self.lock_in_rate)
 
     @property
     def usable(self) -> bool:

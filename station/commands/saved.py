@@ -231,9 +231,11 @@ def _tell_left_out(left_out: list[ExcludedRecord]) -> None:
 
     empty = [one for one in left_out if one.reason == NO_RECORD]
     for one in left_out:
-        if one not in empty[1:]:
-            more = f", as {len(empty) - 1} more" if one in empty and len(empty) > 1 else ""
-            remark(f"left out: {one}{more}")
+        if one.reason != NO_RECORD:
+            remark(f"left out: {one}")
+    if empty:
+        more = f", as {len(empty) - 1} more" if len(empty) > 1 else ""
+        remark(f"left out: {empty[0]}{more}")
 
 
 def _opened(paths: tuple[str, ...], left_out: list[ExcludedRecord], progress: Progress) -> Iterator[Source]:

@@ -139,7 +139,7 @@ def _beat_moved(found: LockInEvaluation) -> tuple[float, str]:
     settings = [group.rows for group in groups if Flag.BEAT_WANDERS & int(group.combined.flags)]
     for rows in settings or [np.arange(len(found.names))]:
         rows = rows[found.each.usable[rows]]
-        beats = found.each.beat_frequency[rows]
+        beats = found.beats(rows)
         share, steps = float(np.ptp(beats) / beats.mean()), np.abs(np.diff(beats))
         after = f" after record {found.names[rows[steps.argmax()]]}" if 2 * steps.max() > np.ptp(beats) else ""
         moved = "BEAT MOVED" if share > _MOVED_MOST else "beat moved"

@@ -104,10 +104,15 @@ def test_a_beat_that_moved_is_told_in_short(tmp_path: Path, share: float, state:
     beats = found.each.beat_frequency * np.repeat([1.0, 1.0 - share], [4, 2])
     flags = np.asarray(int(found.combined.flags) | Flag.BEAT_WANDERS)
     each, combined = replace(found.each, beat_frequency=beats), replace(found.combined, flags=flags)
-    said = result(replace(found, each=each, combined=combined))
+    said = result(replace(found, each=each, combined=combined, axis_rates=None))
     (percent,) = re.findall(r"beat moved (\S+) % after record 4;", dict(said.brief)["checks"].lower())
     assert float(percent) == pytest.approx(100 * share, rel=0.1)
     assert said.standing.state == state
+    # the same beats, but the table is known to have turned so much more slowly
+    rates = beats / np.mean(beats) * float(found.combined.input_rate)
+    known = result(replace(found, each=each, combined=combined, axis_rates=rates))
+    (percent,) = re.findall(r"beat moved (\S+) %", dict(known.brief)["checks"])
+    assert float(percent) < 0.1 and known.standing.state == "stands"
 
 
 def test_a_truth_outside_the_interval_is_red(tmp_path: Path) -> None:

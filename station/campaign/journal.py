@@ -286,7 +286,8 @@ def test_to_resume(directory: Path, unit: str, named: str) -> Path:
     found = [path for path in tests_of(directory, unit) if path.name.startswith("" if named == "last" else named)]
     if named:
         if not found or (len(found) > 1 and named != "last"):
-            raise UsageError(f"{named}: {len(found) or 'no'} tests of {unit} in {folder_of(directory, unit)} are named so")
+            where = folder_of(directory, unit)
+            raise UsageError(f"{named}: {len(found) or 'no'} tests of {unit} in {where} are named so")
         return found[-1]
     left = [path for path in found if read_journal(path).is_unfinished]
     if not left:

@@ -283,11 +283,9 @@ class Station:
             return b"".join(answer or b"" for answer in self._scope.execute(b":HEADER ON;:SET?"))
 
     def _weigh(self) -> None:
-        gc.collect()
-        with given_back():
-            self.outcome.memory_mb.append(_resident_mb())
-        folder = Path("/proc/self/fd")
-        self.outcome.descriptors.append(len(os.listdir(folder)) if folder.exists() else 0)
+        memory, descriptors = _weighed()
+        self.outcome.memory_mb.append(memory)
+        self.outcome.descriptors.append(descriptors)
         self.outcome.threads.append(threading.active_count())
 
 
@@ -296,6 +294,14 @@ def _settings(directory: Path, records: int) -> Settings:
     measurement = default.measurement.model_copy(update={"records": records})
     output = default.output.model_copy(update={"directory": str(directory)})
     return default.model_copy(update={"measurement": measurement, "output": output})
+
+
+def _weighed() -> tuple[float, int]:
+    """Memory of this process in MB without what is free, and how many files it has open."""
+    gc.collect()
+    folder = Path("/proc/self/fd")
+    with given_back():
+        return _resident_mb(), len(os.listdir(folder)) if folder.exists() else 0
 
 
 def _resident_mb() -> float:
@@ -327,9 +333,7 @@ def station(days: int, tell: Callable[[str], None]) -> int:
                     code = gyrolock(["station", "campaign.toml", "--unit", unit, "--quiet"])
                 if code != expected:
                     raise RuntimeError(f"day {day}: {unit} ended with {code}")
-            gc.collect()
-            with given_back():
-                weighed.append((_resident_mb(), len(os.listdir("/proc/self/fd"))))
+            weighed.append(_weighed())
             tell(f"day {day}: {weighed[-1][0]:.1f} MB")
     (first, opened), (last, left) = weighed[0], weighed[-1]
     most = max(memory for memory, _ in weighed[1:]) if days > 1 else first

@@ -5,6 +5,7 @@ import io
 import json
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import jsonschema
@@ -18,8 +19,9 @@ from station.campaign.record import (
     junit_xml,
     limits_csv,
     record_document,
+    write_record,
 )
-from station.errors import Failure
+from station.errors import CannotWrite, Failure
 from station.notebook.measure import TestedUnit
 
 SCHEMA = json.loads(SCHEMA_FILE.read_text(encoding="utf-8"))
@@ -112,6 +114,20 @@ def test_a_test_that_was_aborted_is_a_record_too(tested: TestedUnit) -> None:
     assert [one["key"] for one in record["not_begun"]] == ["02 not reached"]
     suites = junitparser.JUnitXml.fromstring(junit_xml(record).encode())
     assert (suites.tests, suites.skipped) == (3, 1)
+
+
+def test_what_programs_read_is_there_before_a_page_is_drawn(
+    tested: TestedUnit, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object) -> str:
+        raise OSError("no space left")
+
+    monkeypatch.setattr("station.campaign.record.render_record", full)
+    with pytest.raises(CannotWrite, match="no space left"):
+        write_record(replace(tested.outcome, directory=tmp_path), evaluated={})
+    assert sorted(path.name for path in tmp_path.iterdir()) == [
+        "junit.xml", "limits.csv", "record.json", "records.csv"
+    ]  # fmt: skip
 
 
 def test_tables_hold_every_limit_and_every_record(tested: TestedUnit) -> None:

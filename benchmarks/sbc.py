@@ -169,17 +169,18 @@ def outcome(plan: Plan, drift: float, fault: Fault | None, seed: int) -> Outcome
     batches = []
     for rate, end, count in zip(rates, np.cumsum(counts), counts, strict=True):
         rows = np.arange(end - count, end)
-        then = WL * (1 + grows * when[rows].mean())
-        winking = Winking(true_k, then, gain_hz)
-        beat = true_k * math.sqrt(rate**2 - then**2) * float(winking.frequency_factor(np.array([abs(rate)]))[0])
         interval = _interval(rate)
-        level = LEVEL * abs(channel(np.array([beat]))[0])  # what is weaker behind the channel is shown larger
         times = stretch * interval * np.arange(float(SAMPLES))
         records: list[Floats] = []
         for row in rows:
             if len(records) % fault.copies:
                 records.append(records[-1])
                 continue
+            then = WL * (1 + grows * when[row])
+            winking = Winking(true_k, then, gain_hz)
+            factor = float(winking.frequency_factor(np.array([abs(rate)]))[0])
+            beat = true_k * math.sqrt(rate**2 - then**2) * factor
+            level = LEVEL * abs(channel(np.array([beat]))[0])  # what is weaker behind the channel is shown larger
             phase = readout + between * math.copysign(0.5, rate) + turns * when[row]
             gyro = Gyro(true_k, then, phase, 0.0, 0.0, winking=winking)
             turned = np.asarray(rng.uniform() + beat * times)

@@ -358,7 +358,7 @@ _IMAGINARY = 0.1  # variance of the imaginary part over that of the real one
 _OF_ALL = 2.0  # half width of what codes do to the lock-in rate by all rates alike, where no record shows it
 
 _HARDLY = 0.7  # share of its uncertainty beforehand that the gain time has left, if the records hardly show it
-_MAYBE = 2.0  # standard uncertainties beyond which a drift of the lock-in rate may be there
+_MAYBE = 1.0  # standard uncertainties beyond which a drift of the lock-in rate may be there
 _DRIFTS = 0.05  # drifts over a run, rad or relative, up to which the means of the visits lose nothing
 
 

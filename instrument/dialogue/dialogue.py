@@ -201,6 +201,9 @@ class Exchange(ABC):
         """The answer of this kind bore the mark of its question."""
         if kind != LONG:
             self._patience.came(kind, self.link.began_after)
+        if self._late_until is not None and self.link.is_serial:
+            # a line keeps the order: what was sent before this question was obeyed by now, or is lost
+            self._late_until, self.in_doubt = None, True
 
     def _nothing_came(self) -> None:
         if self._mark is not None:

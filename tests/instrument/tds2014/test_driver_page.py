@@ -1,5 +1,6 @@
 """The code on the driver's documentation page runs as printed, on a simulated scope."""
 
+import importlib
 import re
 import runpy
 from pathlib import Path
@@ -20,6 +21,7 @@ def test_page_runs(tmp_path, monkeypatch, capsys):
     matplotlib.use("Agg")
     visa = resource_manager()
     # The page opens "GPIB0::1::INSTR" with whatever VISA there is: here the simulated one.
+    importlib.import_module("instrument.discovery")  # its annotations are of the real class
     monkeypatch.setattr(pyvisa, "ResourceManager", lambda *_: visa)
     monkeypatch.chdir(tmp_path)
     results = runpy.run_path(str(script))

@@ -360,10 +360,7 @@ _OF_ALL = 2.0  # half width of what codes do to the lock-in rate by all rates al
 _HARDLY = 0.7  # share of its uncertainty beforehand that the gain time has left, if the records hardly show it
 _MAYBE = 1.0  # standard uncertainties beyond which a drift of the lock-in rate may be there
 _DRIFTS = 0.05  # drifts over a run, rad or relative, up to which the means of the visits lose nothing
-
-
-_SHOWN = 0.3
-"""Share of its uncertainty beforehand that a drift has left where the records show it, whatever the bound says."""
+_SHOWN = 0.3  # share of its uncertainty beforehand that a drift has left where the records show it
 
 
 def _with_table_noise(points: Points, found: RatioFit, prior: Prior, most: float) -> tuple[Points, RatioFit]:

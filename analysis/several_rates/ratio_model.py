@@ -406,8 +406,9 @@ def whitened(parameters: Floats, data: RatioData) -> tuple[Floats, Floats]:
 
 def in_standard_uncertainties(ratio: Complexes, third: Floats, data: RatioData) -> tuple[Floats, Floats]:
     """Differences of ratios and of third harmonics (B, n) in their standard uncertainties, as :func:`whitened`."""
-    parts = np.stack([ratio.real, ratio.imag], axis=-1)
-    return np.einsum("...ji,...j->...i", data.whitening, parts), third * data.third_weight
+    factor, imaginary = data.whitening, ratio.imag
+    along = factor[..., 0, 0] * ratio.real + factor[..., 1, 0] * imaginary
+    return np.stack([along, factor[..., 1, 1] * imaginary], axis=-1), third * data.third_weight
 
 
 def _finished(found: _Linearised) -> RatioFit:

@@ -80,7 +80,7 @@ CASES = {
 @pytest.mark.parametrize("case", CASES)
 def test_intervals_cover_the_truth(case):
     rng = np.random.default_rng(list(CASES).index(case))
-    runs = 12
+    runs = 8
     inside = dict.fromkeys(("step_height", "step_time", "two_pi_voltage", "reset_height", "bias_height"), 0)
     for _ in range(runs):
         volts, truth = staircase(rng, **vary(rng, CASES[case]))
@@ -97,7 +97,7 @@ def test_intervals_cover_the_truth(case):
 def test_uncertainty_is_not_too_large():
     rng = np.random.default_rng(1)
     pulls, relative = [], []
-    for _ in range(25):
+    for _ in range(16):
         volts, _ = staircase(rng, **vary(rng, {}))
         found = witness_staircase(volts, DT)
         pulls.append((found.two_pi_voltage - SPAN) / found.two_pi_voltage_u)

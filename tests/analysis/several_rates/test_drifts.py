@@ -26,12 +26,12 @@ def pulls(run, seed, in_order=True, receiver=None, **drifts):
 @pytest.mark.parametrize(
     ("run", "drifts"),
     [
-        ("default", {"turned": 2.0}),
+        pytest.param("default", {"turned": 2.0}, marks=pytest.mark.slow),
         ("default", {"turned": -0.7, "bent": 0.3, "between_senses": 0.3}),
         ("default", {"drift": 0.02}),
         ("one sense", {"drift": -0.02}),
-        ("one sense", {"turned": 0.5}),
-        ("one rate", {"between_senses": 0.2}),
+        pytest.param("one sense", {"turned": 0.5}, marks=pytest.mark.slow),
+        pytest.param("one rate", {"between_senses": 0.2}, marks=pytest.mark.slow),
         ("one rate", {"between_senses": 1.0}),
         ("one rate", {"turned": 0.5}),
     ],

@@ -76,10 +76,12 @@ def test_what_is_no_noise_of_the_model_is_named(tmp_path: Path, noise: Noise, na
 @pytest.mark.parametrize(
     ("noise", "corner"),
     [
-        (low_pass(30.0), 30.0),
+        pytest.param(low_pass(30.0), 30.0, marks=pytest.mark.slow),
         (low_pass(5.0), 5.0),
         (lambda rng, white: np.convolve(white, np.ones(10) / 10)[:SIZE], 0.443 * RATE / 10),
-        (lambda rng, white: np.convolve(white, np.ones(2) / 2)[:SIZE], 0.443 * RATE / 2),
+        pytest.param(
+            lambda rng, white: np.convolve(white, np.ones(2) / 2)[:SIZE], 0.443 * RATE / 2, marks=pytest.mark.slow
+        ),
         (lambda rng, white: np.asarray(lfilter(*butter(2, 0.4), white)), 20.0),
     ],
     ids=["30 Hz", "5 Hz", "mean of 10", "mean of 2", "second order"],

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import itertools
 import math
 import os
 import sys
@@ -90,7 +91,15 @@ class SuggestingGroup(click.Group):
             like = difflib.get_close_matches(args[0], names, 1)
             meant = f" Did you mean {like[0]!r}?" if like else ""
             raise click.UsageError(f"No such command {args[0]!r}.{meant}", ctx)
-        return super().resolve_command(ctx, args)
+        name, command, rest = super().resolve_command(ctx, args)
+        # Click would take `--to` as the folder of `--tek-csv --to x`
+        params = () if command is None else command.params
+        options = {text: one for one in params for text in (*one.opts, *one.secondary_opts)}
+        for option, value in itertools.pairwise(rest):
+            asked = options.get(option)
+            if isinstance(asked, click.Option) and value in options and not (asked.is_flag or asked.count):
+                raise click.UsageError(f"{option} needs a value, and {value} is an option", ctx)
+        return name, command, rest
 
 
 def json_option(function: F) -> F:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -95,8 +95,6 @@ class RecordBatch:
     # (n, n_samples): Contiguous; -128 means "no data". int16 from scopes with more than eight bits.
     codes: NDArray[np.int8] | NDArray[np.int16]
     preambles: tuple[Preamble, ...]  # of each record, as it was read; equal ones are one object
-    records: tuple[SavedRecord, ...] = ()  # as they were saved; empty where nobody needs them
-    sources: tuple[Source, ...] = ()  # that of each record, where they are read from several
 
     def __len__(self) -> int:
         return len(self.preambles)
@@ -105,52 +103,6 @@ class RecordBatch:
     def sample_interval(self) -> float:
         """Seconds between two samples."""
         return self.preambles[0].xincr
-
-
-def batches_of(
-    sources: Iterable[Source],
-    left_out: Callable[[ExcludedRecord], None],
-    *,
-    at_once: int = AT_ONCE,
-    wanted: Callable[[SavedRecord], bool] = lambda record: True,
-) -> Iterator[RecordBatch]:
-    """Read all records of oscilloscopes, source by source, in batches."""
-    open_batches: dict[tuple[int, float, int], list[tuple[SavedRecord, Preamble, Source]]] = {}
-    held = 0
-    for source in sources:
-        try:
-            for record in source.records():
-                if not wanted(record):
-                    continue
-                one = read_one(record, source, left_out)
-                if one is None:
-                    continue
-                shape = one[1].nr_pt, one[1].xincr, one[1].byt_nr
-                batch = open_batches.setdefault(shape, [])
-                batch.append(one)
-                held += 1
-                if len(batch) >= at_once:
-                    yield _collected(open_batches.pop(shape))
-                    held -= at_once
-                elif held >= 2 * at_once:
-                    for shape in list(open_batches):
-                        yield _collected(open_batches.pop(shape))
-                    held = 0
-        except (StationError, InstrumentError, OSError) as error:
-            left_out(ExcludedRecord(source.name, None, str(error).removeprefix(f"{source.name}: ")))
-    for batch in open_batches.values():
-        yield _collected(batch)
-
-
-def read_one(
-    record: SavedRecord, source: Source, left_out: Callable[[ExcludedRecord], None]
-) -> tuple[SavedRecord, Preamble, Source] | None:
-    """See that a record can be used; what cannot is left out, and `left_out` is told why."""
-    preamble = preamble_of(Stretch.of(record))
-    if preamble is not None:
-        return record, preamble, source
-    left_out(ExcludedRecord(source.name, record.key, why_not(record)))
-    return None
 
 
 def preamble_of(stretch: Stretch) -> Preamble | None:
@@ -174,12 +126,6 @@ def why_not(record: SavedRecord) -> str:
         except (InstrumentError, NoUsableSignal) as error:
             reason = f"cannot be used: {error}"
     return f"{record.number} ({record.key}) {reason}"
-
-
-def _collected(rows: list[tuple[SavedRecord, Preamble, Source]]) -> RecordBatch:
-    """Put records of one length and time base into one batch."""
-    records, preambles, sources = zip(*rows, strict=True)
-    return RecordBatch(codes_of([record.payload for record in records], preambles[0]), preambles, records, sources)
 
 
 @lru_cache(maxsize=4096)

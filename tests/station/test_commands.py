@@ -71,6 +71,24 @@ def test_errors_are_json_too(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["nonsense"]) == 2
 
 
+@pytest.mark.parametrize(
+    ("arguments", "swallows", "swallowed"),
+    [
+        (["export", "run", "--tek-csv", "--to", "x"], "--tek-csv", "--to"),
+        (["fog", "selfcal", "--unit", "--no-report"], "--unit", "--no-report"),
+        (["measure", "--rates", "--records", "4"], "--rates", "--records"),
+    ],
+)
+def test_an_option_is_no_value_of_another(
+    arguments: list[str], swallows: str, swallowed: str, tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    monkeypatch.chdir(tmp_path)
+    assert main(arguments) == 2
+    assert f"{swallows} needs a value, and {swallowed} is an option" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
 def test_a_defect_of_the_program_is_one_line_too(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -97,7 +97,9 @@ class SuggestingGroup(click.Group):
         options = {text: one for one in params for text in (*one.opts, *one.secondary_opts)}
         for option, value in itertools.pairwise(rest):
             asked = options.get(option)
-            if isinstance(asked, click.Option) and value in options and not (asked.is_flag or asked.count):
+            if value not in options or not isinstance(asked, click.Option) or asked.is_flag or asked.count:
+                continue
+            if not isinstance(asked.flag_value, str):  # with one the option may stand alone
                 raise click.UsageError(f"{option} needs a value, and {value} is an option", ctx)
         return name, command, rest
 

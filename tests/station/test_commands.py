@@ -89,6 +89,15 @@ def test_an_option_is_no_value_of_another(
     assert not list(tmp_path.iterdir())
 
 
+def test_an_option_whose_value_may_be_left_out_stands_before_another(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "campaign.toml").write_text('[[step]]\nname = "a"\nmeasurement = "measure"\n')
+    assert main(["station", "campaign.toml", "--unit", "1", "--resume", "--quiet"]) == 2
+    assert "needs a value" not in capsys.readouterr().err
+
+
 def test_a_defect_of_the_program_is_one_line_too(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

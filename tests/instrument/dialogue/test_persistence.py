@@ -261,6 +261,34 @@ def test_on_a_serial_line(shown, manager, quick):
     assert panel_of(shown) == before
 
 
+class NotedClock:
+    """The computer's clock; it notes for how long somebody slept by it."""
+
+    def __init__(self) -> None:
+        self.longest = 0.0
+
+    now = staticmethod(time.monotonic)
+
+    def sleep(self, seconds: float) -> None:
+        self.longest = max(self.longest, seconds)
+        time.sleep(seconds)
+
+
+@on_unix
+def test_a_line_that_keeps_the_order_is_not_waited_for_in_the_end(shown, manager):
+    clock = NotedClock()
+    with PtyServer(shown) as server:
+        with persistent(server.resource_name, manager, answer_time=20.0, clock=clock) as driver:
+            for _ in range(3):
+                driver.acquire("CH1")
+            shown.faults.add(Fault("lost answer", answer=1))
+            driver.acquire("CH1")
+            assert driver.link_faults.repeated
+            clock.longest = 0.0
+        assert clock.longest < 5.0
+        assert driver.front_panel_is_back
+
+
 # ---------------------------------------------------------------------- time
 
 

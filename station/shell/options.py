@@ -85,22 +85,22 @@ class SuggestingGroup(click.Group):
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
-        """Find the command; a usage error names one that is spelled alike."""
+        """Find the command, or one that is spelled alike; none of its options is the value of another."""
         names = self.list_commands(ctx)
         if args and args[0] not in names and not args[0].startswith("-"):
             like = difflib.get_close_matches(args[0], names, 1)
             meant = f" Did you mean {like[0]!r}?" if like else ""
             raise click.UsageError(f"No such command {args[0]!r}.{meant}", ctx)
         name, command, rest = super().resolve_command(ctx, args)
-        # Click would take `--to` as the folder of `--tek-csv --to x`
-        params = () if command is None else command.params
-        options = {text: one for one in params for text in (*one.opts, *one.secondary_opts)}
+        # Click takes `--to` as the folder of `--tek-csv --to x`
+        options = {key: one for one in getattr(command, "params", ()) for key in (*one.opts, *one.secondary_opts)}
         for option, value in itertools.pairwise(rest):
             asked = options.get(option)
             if value not in options or not isinstance(asked, click.Option) or asked.is_flag or asked.count:
                 continue
             if not isinstance(asked.flag_value, str):  # with one the option may stand alone
-                raise click.UsageError(f"{option} needs a value, and {value} is an option", ctx)
+                where = click.Context(command, ctx, name) if command else ctx
+                raise click.UsageError(f"{option} needs a value, and {value} is an option", where)
         return name, command, rest
 
 

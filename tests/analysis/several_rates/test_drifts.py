@@ -47,6 +47,14 @@ def test_what_drifts_is_found_or_counted(run, drifts):
             assert abs(fit.phase_drift - drifts["turned"]) < 5 * fit.phase_drift_u < 1.0
 
 
+def test_a_drift_that_hardly_shows_counts_in_most_runs():
+    """A drift of two of its standard uncertainties: where it is left out the runs are too sure."""
+    _, fits = pulls("default", 8, drift=0.024)
+    assert sum(fit.lock_in_drift_u > 0 for fit in fits) > 5
+    for fit in fits:
+        assert fit.lock_in_drift_u == 0 or abs(fit.lock_in_drift - 0.024) < 3 * fit.lock_in_drift_u < 0.05
+
+
 def test_the_order_of_a_run_costs_nothing_where_nothing_drifts():
     """The slow rates stand in the middle of the default run: its uncertainty is that of steady lasers."""
     _, drifting = pulls("default", 5)

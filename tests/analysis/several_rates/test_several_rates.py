@@ -90,12 +90,15 @@ def test_the_gain_corner_has_the_same_sign_in_either_sense(sense):
 
 
 @pytest.mark.parametrize(
-    ("multiples", "periods"),
-    [pytest.param(both_senses(*RATES), 100.3, marks=pytest.mark.slow), (both_senses(3, 5), 60.3)],
+    ("multiples", "periods", "n_seeds"),
+    [
+        pytest.param(both_senses(*RATES), 100.3, 80, marks=pytest.mark.slow),
+        pytest.param(both_senses(3, 5), 60.3, 80, marks=pytest.mark.slow),
+        (both_senses(3, 5), 60.3, 40),
+    ],
 )
-def test_without_distortion_the_error_stands_at_the_bound(multiples, periods):
+def test_without_distortion_the_error_stands_at_the_bound(multiples, periods, n_seeds):
     rng = np.random.default_rng(4)
-    n_seeds = 40
     made = estimates(multiples, n_seeds, rng, periods=periods)
     information = 0.0
     for multiple in multiples:
@@ -114,14 +117,14 @@ def test_without_distortion_the_error_stands_at_the_bound(multiples, periods):
         information += bound(times, truth, 0.01) ** -2
     fits = [fit_rates([e[k] for e in made]) for k in range(n_seeds)]
     errors = np.array([f.lock_in_rate - WL for f in fits])
-    # 40 seeds know their rms to 11 %. In both senses distortion and gain corner cost next to nothing, third
+    # 80 seeds know their rms to 8 %. In both senses distortion and gain corner cost next to nothing, third
     # order and bandwidth something: the more, the closer the rates.
     known = [fit_rates([e[k] for e in made], model="both").lock_in_rate - WL for k in range(n_seeds)]
-    assert np.sqrt(np.mean(np.square(known))) * np.sqrt(information) < 1.25
+    assert np.sqrt(np.mean(np.square(known))) * np.sqrt(information) < 1.15
     assert np.sqrt(np.mean(errors**2)) * np.sqrt(information) < (2.5 if len(multiples) > 4 else 3.5)
     covered = [f.lock_in_rate_low_95 <= WL <= f.lock_in_rate_high_95 for f in fits]
-    assert 0.85 <= np.mean(covered) < 1.0
-    assert np.std(errors / [f.lock_in_rate_u for f in fits]) == pytest.approx(1, abs=0.25)
+    assert 0.90 <= np.mean(covered) <= 0.99
+    assert np.std(errors / [f.lock_in_rate_u for f in fits]) == pytest.approx(1, abs=0.15)
     # The truth stands in the middle of every prior, where less of it is left than of a value by chance: 1 of the
     # chi-square of 18, 0.6 of that of 6.
     assert np.mean([f.chi_square / f.degrees_of_freedom for f in fits]) == pytest.approx(0.92, abs=0.15)
@@ -143,7 +146,7 @@ def test_one_sense_pays_what_linear_algebra_says():
     along = np.array([rotor.real, rotor.imag])
     expected = np.sqrt(along @ covariance @ along)
     errors = np.array([f.lock_in_rate for f in fits]) - WL
-    assert np.sqrt(np.mean(errors**2)) == pytest.approx(expected, rel=0.3)
+    assert np.sqrt(np.mean(errors**2)) == pytest.approx(expected, rel=0.2)
     assert np.mean([f.lock_in_rate_u for f in fits]) == pytest.approx(expected, rel=0.05)
     assert all(f.flags & RatesFlag.ONE_SENSE for f in fits)
 
@@ -246,7 +249,7 @@ def test_without_a_bad_rate_the_left_out_deviations_are_of_unit_size():
     rng = np.random.default_rng(12)
     made = estimates(both_senses(3, 6, 12), 40, rng)
     deviations = np.array([fit_rates([e[k] for e in made]).left_out.deviation for k in range(40)])
-    np.testing.assert_allclose(deviations.std(axis=0), 1, atol=0.35)
+    np.testing.assert_allclose(deviations.std(axis=0), 1, atol=0.25)
 
 
 def test_means_of_records_do_as_well_as_the_records():

@@ -98,7 +98,7 @@ def test_a_filter_that_is_stated_is_taken_out(noise: Noise, corner: float) -> No
         pulls.append((walk - SIGMA / np.sqrt(RATE)) / u)
         assert fit.low_95["angle_random_walk"] < walk < fit.high_95["angle_random_walk"]
         assert not (fit.bands or fit.lines_hz or np.isfinite([fit.loudness, fit.slow_loudness]).any())
-    assert np.sqrt(np.mean(np.square(pulls))) < 1.8 and abs(np.mean(pulls)) < 1.1, pulls
+    assert np.sqrt(np.mean(np.square(pulls))) < 1.6 and abs(np.mean(pulls)) < 0.8, pulls
 
 
 @pytest.mark.parametrize(

@@ -3,15 +3,7 @@
 `loop` simulates the electronics; a file beside it is a question.
 """
 
-from analysis.fibre_gyro.allan import (
-    AllanCurve,
-    NoiseFit,
-    allan_curve,
-    allan_variance,
-    deviation_of_means,
-    fit_noise,
-    window_covariance,
-)
+from analysis.fibre_gyro.allan import AllanCurve, NoiseFit, allan_curve, deviation_of_means, fit_noise
 from analysis.fibre_gyro.figures_of_merit import (
     ResidualPattern,
     ScaleFigures,
@@ -42,6 +34,13 @@ from analysis.fibre_gyro.injection import (
 )
 from analysis.fibre_gyro.loop import ClosedLoop, Kernel, LoopDesign, LoopTrace, OutputBlock, OutputModel
 from analysis.fibre_gyro.loop.design import FibreCoil
+from analysis.fibre_gyro.noise_terms import (
+    allan_variance,
+    averaged_periodogram,
+    noise_spectrum,
+    sinusoid_variance,
+    window_covariance,
+)
 from analysis.fibre_gyro.rate_table import (
     LADDER_TERMS,
     AxisFit,

@@ -14,12 +14,17 @@ uncertainties and intervals, with its probability. A ramp and a drift with the t
 fitted to the increments of the blocks, with their covariance. Missing words are put in by the model itself
 (`missing_words`). A filtered output is seen up to a fifth of the filter's corner, where a first-order low-pass is
 nearly what any filter is, and its transfer function is taken out.
+
+Where the spectrum shows a line, a sinusoid of constant amplitude is taken out. Where it is not that of the five
+terms, exponentially correlated noise (a Markov process of first order) is offered too, of any correlation time:
+its models stand at times ever closer together, until more than one of them counts. What then still is not that of
+the model is told.
 """
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -30,6 +35,17 @@ from numpy.typing import ArrayLike
 from scipy.sparse.linalg import LinearOperator, cg
 
 from analysis.arrays import Bools, Floats
+from analysis.fibre_gyro.noise_terms import (
+    CORRELATED,
+    CORRELATION_TIME,
+    RANDOM,
+    TERMS,
+    block_covariance,
+    correlated,
+    increment_spectrum,
+    low_passed,
+    term_of,
+)
 from analysis.fibre_gyro.scatter import NORMAL_95, outliers
 
 _MOST_BLOCKS = 256
@@ -60,7 +76,22 @@ _PARTS, _FEWEST_IN_PART = 8, 24
 _JUMP = 6.0  # standard deviations of one whitened increment of the blocks, that none of noise has
 _LOUDER = 0.25  # of the power, by which parts that differ matter
 _INDEPENDENT = 2 / 3  # of increments of white noise
-Model = frozenset[str]  # terms, the ramp among them
+_SHORTEST_S, _SHORTEST = 5.0, 20  # correlation time: s, words
+_FAR, _FINE = 1.0, 1 / 64  # steps of the logarithm of a correlation time: at first, and at last
+_SAME = 0.5  # logarithm of the probability by which the next correlation time is no worse
+_BETWEEN = 0.4  # of a step, for the correlation times between two
+_MOST_LINES, _LINE_ROUNDS = 12, 3
+_HANN_NOISE = 1.5  # of a mean under a Hann window, in that of a plain one
+Model = frozenset[str]  # terms, the ramp too; "correlated_noise 3.4" is that of such a correlation time (s)
+
+
+@dataclass(frozen=True)
+class Sinusoid:
+    """A line of constant amplitude in the output."""
+
+    frequency_hz: float
+    amplitude: float  # of the words, and its standard uncertainty
+    amplitude_u: float
 
 
 @dataclass(frozen=True)
@@ -68,6 +99,7 @@ class NoiseFit:
     """Coefficients of the noise model, in deg and s."""
 
     # of the terms in the model; `TERMS` has their units. 1.96 of the uncertainty are half the 95 % interval.
+    # "correlated_noise" is there where the data ask for it: with it "correlation_time", which is no term.
     coefficients: dict[str, float]
     coefficients_u: dict[str, float]
     low_95: dict[str, float]  # of every term; of one that is not in the model up to where it may be hidden, from 0
@@ -79,7 +111,8 @@ class NoiseFit:
     words: int
     missing: int
     outliers: int
-    lines_hz: tuple[float, ...] = ()  # where a line stands in the spectrum that no noise has
+    sinusoids: tuple[Sinusoid, ...] = ()  # that were taken out
+    lines_hz: tuple[float, ...] = ()  # where a line stands in the spectrum that neither noise nor a sinusoid has
     # where the spectrum is not that of the model: from, to (Hz), and its power over the model's
     bands: tuple[tuple[float, float, float], ...] = ()
     # power of the loudest of some parts of the record over that of all; nan where all are alike
@@ -111,19 +144,46 @@ def fit_noise(
         values = values - slope * (heat - np.nanmean(heat))
     seen = _with_gaps_filled(values, interval_s, corner)
     models = seen.likely_models()
+    lines, bands = seen.misfit(next(iter(models)))
+    smooth, at, left = values, np.arange(values.size), lines
+    sinusoids: list[Sinusoid] = []
+    for _ in range(_LINE_ROUNDS):
+        if not left or len(sinusoids) + len(left) > _MOST_LINES:
+            break
+        for line, turn in _sinusoids(smooth, left, seen.density(next(iter(models)))):
+            smooth = smooth - (turn * np.exp(2j * np.pi * line.frequency_hz * at)).real
+            sinusoids.append(line)
+        seen = _with_gaps_filled(smooth, interval_s, corner)
+        models = seen.likely_models()
+        left, bands = seen.misfit(next(iter(models)))
+    if left:
+        # their amplitudes or frequencies are not constant: nothing was taken out, and they are told
+        sinusoids, seen = [], _with_gaps_filled(values, interval_s, corner)
+        models = seen.likely_models()
+        bands = seen.misfit(next(iter(models)))[1]
+    if bands:
+        # not for every record: beside 1/f noise and a walk a Markov process is always nearly as likely
+        wider = seen.likely_models(with_correlated=True)
+        if "angle_random_walk" in next(iter(wider)) and not seen.misfit(next(iter(wider)))[1]:
+            models, bands = wider, []
     found = seen.coefficients(models)
-    value, u, low, high = ({name: spread * one for name, one in part.items()} for part in found)
+    value, u, low, high = (
+        {name: (1.0 if name == CORRELATION_TIME else spread) * one for name, one in part.items()} for part in found
+    )
     walk = "angle_random_walk"
     if np.isfinite(filter_hz) and walk in value:
         form = _FORM * value[walk]
         u[walk] = float(np.hypot(u[walk], form))
         low[walk] = value[walk] - float(np.hypot(value[walk] - low[walk], NORMAL_95 * form))
         high[walk] = value[walk] + float(np.hypot(high[walk] - value[walk], NORMAL_95 * form))
-    chosen = tuple(name for name in TERMS if name in next(iter(models)))
-    lines, bands = seen.misfit(next(iter(models)))
+    chosen = tuple(name for name in (*TERMS, CORRELATED) if name in map(term_of, next(iter(models))))
     return NoiseFit(
         value, u, low, high, chosen, spread * slope, spread * slope_u, values.size, missing, int(far.sum()),
-        tuple(one / interval_s for one in lines),
+        tuple(
+            Sinusoid(one.frequency_hz / interval_s, spread * one.amplitude, spread * one.amplitude_u)
+            for one in sorted(sinusoids, key=lambda one: one.frequency_hz)
+        ),
+        tuple(one / interval_s for one in left),
         tuple((low / interval_s, high / interval_s, power) for low, high, power in bands),
         loudest_part(np.diff(values), _INDEPENDENT),
         loudest_part(seen.whitened(next(iter(models))), 1.0),
@@ -142,6 +202,34 @@ def loudest_part(values: Floats, independent: float) -> float:
         return float(power.max())
     off = np.abs(np.log(np.maximum(power, 1e-300))) * np.sqrt(independent * sizes / 2)
     return float(power.max()) if off.max() > _OFF and np.ptp(power) > _LOUDER else float("nan")
+
+
+def _sinusoids(
+    values: Floats, lines: list[float], density: Callable[[Floats], Floats]
+) -> list[tuple[Sinusoid, complex]]:
+    """Sinusoids at lines (cycles a word), one for neighbours, and the turn of each; by least squares."""
+    # A Hann window keeps slow noise out, whose spectrum is steep. `density`: spectrum of the words' noise.
+    there = np.isfinite(values)
+    window = np.where(there, np.sin(np.pi * (np.arange(values.size) + 0.5) / values.size) ** 2, 0.0)
+    seen = window * np.where(there, values - np.nanmean(values), 0.0)
+    power = np.abs(scipy.fft.rfft(seen)) ** 2
+    at, bin_width = np.arange(values.size) - (values.size - 1) / 2, 0.5 / _BINS
+    groups = np.split(np.array(lines), np.flatnonzero(np.diff(lines) > 2.5 * bin_width) + 1)
+    found = []
+    for group in groups:
+        first = max(1, int((group[0] - bin_width) * values.size))
+        last = min(power.size, int((group[-1] + bin_width) * values.size) + 2)
+        frequency = (first + int(power[first:last].argmax())) / values.size
+        for _ in range(4):
+            # the turn of the amplitude over the record is what the frequency is off
+            wave = seen * np.exp(-2j * np.pi * frequency * at)
+            level, tilt = wave.sum() / window.sum(), (at * wave).sum() / (at**2 * window).sum()
+            frequency += float((tilt / level).imag) / (2 * np.pi)
+        turn = 2 * complex((seen * np.exp(-2j * np.pi * frequency * np.arange(values.size))).sum() / window.sum())
+        noise = float(density(np.array([2 * np.pi * frequency]))[0])
+        u = float(np.sqrt(2 * _HANN_NOISE * noise / there.sum()))
+        found.append((Sinusoid(frequency, abs(turn), u), turn))
+    return found
 
 
 def _with_gaps_filled(values: Floats, interval_s: float, corner: float) -> _Likelihood:
@@ -198,10 +286,11 @@ def _quantile(parts: list[_Part], probability: float) -> float:
 
 def _names_of(model: Model) -> tuple[list[str], list[str]]:
     """Random terms of a model, and the columns that are fitted beside them."""
-    return [name for name in RANDOM if name in model], ["ramp"] if _RAMP in model else []
+    random = [name for name in RANDOM if name in model] + [name for name in model if term_of(name) == CORRELATED]
+    return random, ["ramp"] if _RAMP in model else []
 
 
-def _like(model: Model) -> Iterator[Model]:
+def _like(model: Model, step: float) -> Iterator[Model]:
     """Models with a term more, a term less, or a slow term in the place of another one."""
     for name in TERMS:
         if name not in model:
@@ -209,6 +298,15 @@ def _like(model: Model) -> Iterator[Model]:
             yield from (model - {other} | {name} for other in _SLOW if name in _SLOW and other in model)
         elif len(model - {name, _RAMP}) > 0:
             yield model - {name}
+    yield from _beside(model, step)
+
+
+def _beside(model: Model, step: float) -> Iterator[Model]:
+    """The same model with a shorter and a longer correlation time."""
+    for name in model:
+        if term_of(name) == CORRELATED:
+            time = float(name.split(" ")[1])
+            yield from (model - {name} | {correlated(time * np.exp(one))} for one in (-step, step))
 
 
 class _Likelihood:
@@ -232,8 +330,21 @@ class _Likelihood:
             )
         self._parts = {name: self._covariance(name) for name in RANDOM}
         self._omega, self._power, self._number = _spectrum(values, width, _OF_CORNER * corner)
-        passed = _passed(self._omega, corner)
-        self._shapes = {name: passed * increment_spectrum(name, self._omega, interval_s) for name in RANDOM}
+        self._corner, self._interval_s, self._size, self._step = corner, interval_s, values.size, _FAR
+        self._shapes = {name: self._shape(name, self._omega) for name in RANDOM}
+
+    def _shape(self, name: str, omega: Floats) -> Floats:
+        return low_passed(omega, self._corner) * increment_spectrum(name, omega, self._interval_s)
+
+    def density(self, model: Model) -> Callable[[Floats], Floats]:
+        """Spectrum of the words under a model; its mean is their variance."""
+        squares = self._maximum(*_names_of(model))[0]
+
+        def at(omega: Floats) -> Floats:
+            total = sum(value * self._shape(name, omega) for name, value in squares.items())
+            return np.asarray(total / (4 * np.sin(omega / 2) ** 2))
+
+        return at
 
     def _covariance(self, name: str) -> Floats:
         """Covariance of the increments of the block means, for a coefficient of 1."""
@@ -262,22 +373,38 @@ class _Likelihood:
         value, covariance = self._regression(squares, ["ramp", "heat"])
         return float(value[1]), float(np.sqrt(covariance[1, 1]))
 
-    def likely_models(self) -> dict[Model, float]:
+    def likely_models(self, *, with_correlated: bool = False) -> dict[Model, float]:
         """Models that the data leave open and their probabilities; the most probable one first."""
-        best = Model({"angle_random_walk"})
+        best, offered, step = Model({"angle_random_walk"}), list(TERMS), _FAR
+        if with_correlated:
+            # noise of a short correlation time cannot be told from white noise behind a filter
+            shortest, longest = max(_SHORTEST_S, _SHORTEST * self._interval_s), self._size * self._interval_s / 4
+            times = np.exp(np.arange(np.log(shortest), np.log(longest), step))
+            for name in map(correlated, times):
+                self._parts[name] = self._covariance(name)
+                self._shapes[name] = self._shape(name, self._omega)
+                offered.append(name)
         while True:
             # one term after the other, the one that helps most, while it helps enough
-            larger = max((best | {name} for name in TERMS if name not in best), key=self._score, default=best)
+            kinds = {term_of(name) for name in best}
+            more = (best | {name} for name in offered if term_of(name) not in kinds)
+            larger = max(more, key=self._score, default=best)
             if self._score(larger) <= self._score(best):
                 break
             best = larger
         scores, waiting = {best: self._score(best)}, [best]
         while waiting:
-            for other in _like(waiting.pop()):
+            for other in _like(waiting.pop(), step):
                 if other not in scores:
                     scores[other] = self._score(other)
                     if scores[other] > max(scores.values()) + np.log(_OPEN):
                         waiting.append(other)
+            best = max(scores, key=lambda model: scores[model])
+            near = [scores[one] for one in _beside(best, step) if one in scores]
+            if not waiting and near and step > _FINE and max(near) < scores[best] - _SAME:
+                # correlation times between two that are worse
+                step, waiting = step / 2, [best]
+        self._step = step
         highest = max(scores.values())
         weight = {model: float(np.exp(score - highest)) for model, score in scores.items()}
         total = sum(weight.values())
@@ -287,7 +414,8 @@ class _Likelihood:
 
     def _score(self, model: Model) -> float:
         """Logarithm of the probability of a model by the Bayesian information criterion, up to a constant."""
-        return self._maximum(*_names_of(model))[1] - 0.5 * float(np.log(self._increments.size)) * len(model)
+        unknown = len(model) + (CORRELATED in map(term_of, model))
+        return self._maximum(*_names_of(model))[1] - 0.5 * float(np.log(self._increments.size)) * unknown
 
     def coefficients(
         self, models: dict[Model, float]
@@ -295,11 +423,16 @@ class _Likelihood:
         """Values and standard uncertainties of the terms of the first model, and 95 % intervals of all terms."""
         chosen, value, u, low, high = next(iter(models)), {}, {}, {}, {}
         known = [self._parts_of(model, probability) for model, probability in models.items()]
-        for name in TERMS:
+        of_time = (CORRELATED, CORRELATION_TIME) if CORRELATED in map(term_of, chosen) else ()
+        for name in (*TERMS, *of_time):
             parts = [of_model[name] for of_model in known if name in of_model]
             low[name], high[name] = (_quantile(parts, probability) for probability in (0.025, 0.975))
-            if name in chosen:
+            if name in chosen or name in of_time:
                 value[name] = known[0][name].value
+                if name in of_time:
+                    # each model has a correlation time of its own: the mean over all of them
+                    total = sum(one.probability for one in parts)
+                    value[name] = sum(one.probability * one.value for one in parts) / total
                 u[name] = (high[name] - low[name]) / (2 * NORMAL_95)
             else:
                 # a term that is not asked for may be as large as the data allow beside the others
@@ -327,7 +460,10 @@ class _Likelihood:
         found = {}
         for name, one in zip(names, spread, strict=True):
             size = float(np.sqrt(squares[name]))
-            found[name] = _Part(probability, size, float(one) / (2 * size), squares[name], float(one))
+            found[term_of(name)] = _Part(probability, size, float(one) / (2 * size), squares[name], float(one))
+            if term_of(name) == CORRELATED:
+                time = float(name.split(" ")[1])
+                found[CORRELATION_TIME] = _Part(probability, time, time * _BETWEEN * self._step)
         if columns:
             slope, covariance = self._regression(squares, columns)
             found[_RAMP] = _Part(probability, abs(float(slope[0])), float(np.sqrt(covariance[0, 0])))
@@ -338,6 +474,9 @@ class _Likelihood:
         asked = (tuple(sorted(names)), tuple(columns))
         if asked in self._known:
             return self._known[asked]
+        for name in names:
+            if name not in self._parts:
+                self._parts[name], self._shapes[name] = self._covariance(name), self._shape(name, self._omega)
         squares = self._start(names)
         level, share = -np.inf, 1.0
         for _ in range(_ROUNDS):
@@ -454,11 +593,6 @@ class _Likelihood:
         return self._scored(squares, names, [])[2]
 
 
-def _passed(omega: Floats, corner: float) -> Floats:
-    """Power that a first-order low-pass leaves, both in rad a word."""
-    return np.asarray(1 / (1 + (omega / corner) ** 2))
-
-
 def _spectrum(values: Floats, width: int, highest: float) -> tuple[Floats, Floats, Floats]:
     """Angular frequency, mean power of the increments, number of independent values, above the blocks' own."""
     lowest, highest = np.pi / width if width > 1 else np.pi / 8, min(highest, np.pi)
@@ -492,116 +626,6 @@ def _stretches(values: Floats, shortest: int) -> list[Floats]:
     """Stretches without missing words."""
     edges = np.concatenate([[-1], np.flatnonzero(np.isnan(values)), [values.size]])
     return [values[begin + 1 : end] for begin, end in itertools.pairwise(edges) if end - begin - 1 >= shortest]
-
-
-# --------------------
-# Terms of the noise model of IEEE Std 952, in deg and s, and what each is in three views.
-#
-#     quantization Q          deg               white noise of the angle at the ends of the words
-#     angle random walk N     deg/sqrt(s)       white noise of the rate
-#     bias instability B      deg/s             flicker of the rate, spectrum B^2/(2 pi f)
-#     rate random walk K      deg/s/sqrt(s)     integrated white noise
-#     rate ramp R             deg/s/s           a constant drift: no noise, but in the Allan deviation as one
-#
-# Views, for words that are means over an interval: Allan variance; generalised covariance of the means of blocks
-# (what only increments of the means depend on, since bias instability and rate random walk have no variance);
-# spectrum of the increments of words
-
-
-TERMS = ("quantization", "angle_random_walk", "bias_instability", "rate_random_walk", "rate_ramp")
-RANDOM = TERMS[:4]
-_ALIASES = 12
-
-
-def allan_variance(coefficients: Mapping[str, float], tau_s: ArrayLike) -> Floats:
-    """Allan variance, (deg/s)^2, of the terms together, by their coefficients in deg and s.
-
-    Examples
-    --------
-    >>> float(allan_variance({"angle_random_walk": 2.0}, 4.0))
-    1.0
-    """
-    tau = np.asarray(tau_s, dtype=np.float64)
-    shapes = {
-        "quantization": 3 / tau**2,
-        "angle_random_walk": 1 / tau,
-        "bias_instability": np.full(tau.shape, 2 * np.log(2) / np.pi),
-        "rate_random_walk": tau / 3,
-        "rate_ramp": tau**2 / 2,
-    }
-    return np.asarray(sum(value**2 * shapes[name] for name, value in coefficients.items()), dtype=np.float64)
-
-
-def block_covariance(term: str, lags: Floats, block_s: float) -> Floats:
-    """Generalised covariance of the means of two blocks, for a coefficient of 1."""
-    distance = np.abs(lags)
-    if term == "quantization":
-        return np.asarray(((distance == 0) * 2.0 - (distance == 1)) / block_s**2)
-    outer = _grown(term, (distance + 1) * block_s) + _grown(term, (distance - 1) * block_s)
-    return np.asarray(0.5 * (outer - 2 * _grown(term, distance * block_s)) / block_s**2)
-
-
-def window_covariance(coefficients: Mapping[str, float], begin_s: ArrayLike, end_s: ArrayLike) -> Floats:
-    """Generalised covariance of the means over windows anywhere in time, (deg/s)^2.
-
-    It gives the variance of whatever combines the means with factors that add up to zero.
-
-    Parameters
-    ----------
-    coefficients : mapping
-        Of the terms, in deg and s; a ramp is no noise and not counted.
-    begin_s, end_s : (n,)
-
-    Returns
-    -------
-    ndarray, shape (n, n)
-
-    Examples
-    --------
-    White noise has the variance N^2/T, a random walk of the rate K^2 T between the means of neighbours, about.
-
-    >>> window_covariance({"angle_random_walk": 2.0}, [0.0], [8.0]).tolist()
-    [[0.5]]
-    >>> walk = window_covariance({"rate_random_walk": 1.0}, [0.0, 10.0], [1.0, 11.0])
-    >>> round(float(walk[0, 0] + walk[1, 1] - 2 * walk[0, 1]), 3)
-    9.667
-    """
-    begin, end = np.asarray(begin_s, dtype=np.float64), np.asarray(end_s, dtype=np.float64)
-    products = np.outer(end - begin, end - begin)
-    first, last, total = begin[:, np.newaxis], end[:, np.newaxis], np.zeros(products.shape)
-    for term, value in coefficients.items():
-        if term == "quantization":
-            met = (begin == first).astype(np.float64) + (end == last) - (begin == last) - (end == first)
-        elif term in RANDOM:
-            apart = _grown(term, end - first) + _grown(term, begin - last)
-            met = 0.5 * (apart - _grown(term, begin - first) - _grown(term, end - last))
-        else:
-            continue
-        total += value**2 * met / products
-    return np.asarray(total, dtype=np.float64)
-
-
-def _grown(term: str, time_s: Floats) -> Floats:
-    """Function of the time whose second derivative is twice the covariance of the rate, for a coefficient of 1."""
-    size = np.abs(time_s)
-    if term == "angle_random_walk":
-        return size
-    if term == "bias_instability":
-        return np.asarray(-(size**2) * np.log(np.maximum(size, 1e-300)) / np.pi)
-    return np.asarray(-(size**3) / 6)
-
-
-def increment_spectrum(term: str, omega: Floats, interval_s: float) -> Floats:
-    """Spectrum of the increments from word to word, for a coefficient of 1; its mean is their variance."""
-    square = 4 * np.sin(omega / 2) ** 2
-    if term == "quantization":
-        return np.asarray(square**2 / interval_s**2)
-    if term == "angle_random_walk":
-        return np.asarray(square / interval_s)
-    if term == "rate_random_walk":
-        return np.asarray(interval_s * (2 + np.cos(omega)) / 3)
-    turns = omega[..., np.newaxis] + 2 * np.pi * np.arange(-_ALIASES, _ALIASES + 1)
-    return np.asarray(square * np.sum(square[..., np.newaxis] / np.abs(turns) ** 3, axis=-1))
 
 
 # --------------------
@@ -655,7 +679,7 @@ def with_words_put_in(
     omega = 2 * np.pi * np.arange(1, size // 2 + 1) / size
     grid = np.geomspace(omega[0], np.pi, _POINTS)
     shape = sum(square * increment_spectrum(name, grid, interval_s) for name, square in squares.items())
-    shape = shape * _passed(grid, corner)
+    shape = shape * low_passed(grid, corner)
     spectrum = np.exp(np.interp(np.log(omega), np.log(grid), np.log(shape / (4 * np.sin(grid / 2) ** 2))))
     weight = np.concatenate([[0.0], float(np.median(spectrum)) / spectrum])  # the level may be anything
     white = scipy.fft.rfft(np.random.default_rng(0).normal(size=size))

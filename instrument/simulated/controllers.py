@@ -1,12 +1,15 @@
-"""Simulated rate table, chamber and supply on lines of text, on a pseudo-terminal or a TCP port."""
+"""Simulated instruments on lines of text, on a pseudo-terminal or a TCP port: table, chamber, supply, transcript."""
 
 import math
 import time
+from collections import defaultdict, deque
+from collections.abc import Sequence
 from typing import Protocol
 
 from instrument.simulated.clock import Clock, RealClock
 from instrument.simulated.links.stream_server import LOOK_UP, Port, StreamServer
 from instrument.simulated.rate_table import SimulatedRateTable
+from instrument.text_files import TranscriptExchange
 
 _LONGEST = 4096
 
@@ -14,8 +17,8 @@ _LONGEST = 4096
 class LineDevice(Protocol):
     """What answers a line."""
 
-    def answer(self, line: str) -> str | None:
-        """Return the answer to a line, both without their ends; ``None`` where there is none."""
+    def answer(self, line: str) -> str | bytes | None:
+        """Return the answer to a line, both without their ends; bytes are sent as they are; ``None``: none."""
 
 
 class LineServer(StreamServer):
@@ -50,8 +53,30 @@ class LineServer(StreamServer):
         for line in lines:
             text = line.decode("ascii", errors="replace").strip()
             if text and (answer := self._device.answer(text)) is not None:
-                port.outgoing.put((answer + self._end).encode("ascii"), now)
+                sent = answer if isinstance(answer, bytes) else (answer + self._end).encode("ascii")
+                port.outgoing.put(sent, now)
         self._send(port, now)
+
+
+class Replay:
+    """Answers each message of a transcript with the bytes that came then."""
+
+    # A message is looked for among those that have not been asked yet, in their order; asked more often than it
+    # was then, it gets the last answer again. A message that the transcript does not have gets none.
+
+    def __init__(self, exchanges: Sequence[TranscriptExchange]) -> None:
+        self._answers: dict[str, deque[bytes]] = defaultdict(deque)
+        for exchange in exchanges:
+            self._answers[exchange.message.decode("ascii", errors="replace").strip()].append(exchange.answer)
+        self.unknown: list[str] = []
+
+    def answer(self, line: str) -> bytes | None:
+        """Return what came behind the message."""
+        known = self._answers.get(line)
+        if not known:
+            self.unknown.append(line)
+            return None
+        return known.popleft() if len(known) > 1 else known[0]
 
 
 # --------------------

@@ -278,13 +278,13 @@ def simulate_command(
 
 def _replay(path: Path, link: str, port: int, as_json: bool) -> int:
     """Serve the instrument of a transcript."""
-    from instrument.simulated.links.replay import ReplayServer
+    from instrument.simulated.controllers import LineServer, Replay
     from instrument.text_files import read_transcript
 
     if link != "tcp":
         raise click.UsageError("--replay serves on --tcp only")
     try:
-        server = ReplayServer(read_transcript(path), port=port)
+        server = LineServer(Replay(read_transcript(path)), tcp_port=port)
     except OSError as error:
         raise UsageError(f"the transcript cannot be served: {error.strerror or error}") from None
     with suppress(KeyboardInterrupt), server:

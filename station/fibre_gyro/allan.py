@@ -17,8 +17,11 @@ from analysis.fibre_gyro import (
     NoiseFit,
     allan_curve,
     allan_variance,
+    averaged_periodogram,
     deviation_of_means,
     fit_noise,
+    noise_spectrum,
+    sinusoid_variance,
     window_covariance,
 )
 from instrument.text_files import read_small_file
@@ -66,6 +69,8 @@ class NoiseOf:
     duration_s: float
     fit: NoiseFit
     curve: AllanCurve
+    spectrum: tuple[Floats, Floats, Floats]  # Hz; (deg/s)^2/Hz and its u
+    modelled: Floats  # the same spectrum by the model
     stability_10s: float  # deg/s, of means over so long
     stability_10s_u: float
     stability_100s: float
@@ -127,9 +132,11 @@ def _noise_of(segment: Segment, settings: FogSettings) -> NoiseOf:
             "Record it with more digits."
         )
     stability = [deviation_of_means(shown, recording.interval_s, tau) for tau in (10.0, 100.0)]
+    spectrum = averaged_periodogram(shown, recording.interval_s)
+    modelled = noise_spectrum(fit.coefficients, spectrum[0], recording.interval_s, corner)
     return NoiseOf(
-        segment.key, words.size * recording.interval_s, fit, curve, *stability[0], *stability[1], mean,
-        tuple(remarks), by_design,
+        segment.key, words.size * recording.interval_s, fit, curve, spectrum, modelled, *stability[0],
+        *stability[1], mean, tuple(remarks), by_design,
     )  # fmt: skip
 
 
@@ -146,16 +153,27 @@ TERMS = {
     "bias_instability": Quantity("bias_instability", "dph", u_last=True, scale=3600.0, limit=True),
     "rate_random_walk": Quantity("rate_random_walk", "dph_per_sqrt_h", u_last=True, scale=216_000.0, limit=True),
     "rate_ramp": Quantity("rate_ramp", "dph_per_h", u_last=True, scale=3600.0**2),
-}
+    # where the data ask for it
+    "correlated_noise": Quantity(
+        "correlated_noise", "dph", u_last=True, scale=3600.0, limit=True, optional=True,
+        doc="standard deviation of Markov noise of first order",
+    ),
+    "correlation_time": Quantity("correlation_time", "s", u_last=True, optional=True, doc="of that noise"),
+}  # fmt: skip
 RECORD = (
     Quantity("duration", "s", "duration_s"),
     Quantity("temperature_slope", "dph_per_k", "fit.temperature_slope", u=True, scale=3600.0),
     Quantity("words", of="fit.words"),
     Quantity("missing", of="fit.missing"),
     Quantity("outliers", of="fit.outliers"),
+    Quantity("sinusoid", "hz", lambda one: [line.frequency_hz for line in one.fit.sinusoids], doc="taken out"),
+    Quantity(
+        "sinusoid", "dph", lambda one: [3600 * line.amplitude for line in one.fit.sinusoids],
+        lambda one: [3600 * line.amplitude_u for line in one.fit.sinusoids], doc="their amplitudes",
+    ),
     Quantity("tau", "s", "curve.tau_s", doc="averaging times of the Allan deviation"),
     Quantity("allan_deviation", "dph", "curve.deviation", u=True, scale=3600.0),
-)
+)  # fmt: skip
 # what data sheets ask for first
 STABILITY = (
     *(
@@ -194,11 +212,19 @@ def result(found: AllanEvaluation, run: SavedRun, settings: FogSettings) -> Resu
         value = f"N = {with_uncertainty(60 * walk, 60 * u)} deg/√h"
     corner = _own(settings).output_filter_hz
     behind = f" behind a filter of {corner:g} Hz, which is taken out" if corner else ""
-    lines = (
+    lines = [
         f"{first.key}: {first.duration_s / 3600:.3g} h of output{behind}; by maximum likelihood, "
         f"in the model: {', '.join(TERMS[name].words for name in first.fit.chosen)}.",
         _stability_line(first),
-    )
+    ]
+    for one in found.records:
+        if one.fit.sinusoids:
+            sizes = (with_uncertainty(3600 * of.amplitude, 3600 * of.amplitude_u) for of in one.fit.sinusoids)
+            waves = (
+                f"{of.frequency_hz:.6g} Hz ({size} deg/h)"
+                for of, size in zip(one.fit.sinusoids, sizes, strict=True)
+            )
+            lines.append(f"{one.key}: sinusoids of a vibration or pickup were taken out: {', '.join(waves)}.")
     counts = not run.facts.simulated and any(one.by_design for one in found.records)
     design = (
         (
@@ -216,7 +242,7 @@ def result(found: AllanEvaluation, run: SavedRun, settings: FogSettings) -> Resu
         value=value,
         document={**({} if several else records[0]), "records": records, "left_out": found.left_out},
         quantities=QUANTITIES,
-        lines=lines,
+        lines=tuple(lines),
         summary=[("", line) for line in lines],
         sentences=(*_sentences(found), *([design] if design and settings.gyro_is_described else [])),
         to_watch=watched,
@@ -246,11 +272,11 @@ def _record(one: NoiseOf) -> dict[str, Any]:
     fit, made = one.fit, {"name": one.key, "terms": one.fit.chosen, **document(one, (*STABILITY, *RECORD))}
     for term, declared in TERMS.items():
         scale = declared.scale
-        made[declared.key()] = scale * fit.coefficients.get(term, 0.0)
+        known = term in fit.low_95
+        made[declared.key()] = scale * fit.coefficients.get(term, 0.0) if known else None
         made[declared.key("u")] = scale * fit.coefficients_u[term] if term in fit.coefficients_u else None
         made[declared.key("low_95")], made[declared.key("high_95")] = (
-            scale * fit.low_95[term],
-            scale * fit.high_95[term],
+            scale * end[term] if known else None for end in (fit.low_95, fit.high_95)
         )
     return made
 
@@ -260,6 +286,8 @@ def term_table(one: NoiseOf) -> TextTable:
     rows = []
     for term, declared in TERMS.items():
         fit, scale = one.fit, declared.scale
+        if term not in fit.low_95:
+            continue
         low, high = scale * fit.low_95[term], scale * fit.high_95[term]
         if term in fit.coefficients:
             said = with_uncertainty(scale * fit.coefficients[term], scale * fit.coefficients_u[term])
@@ -298,6 +326,7 @@ def _to_watch(found: AllanEvaluation) -> list[str]:
 _STEPS_OF_NOISE = 0.6
 """Smallest step of an output over its scatter, inverted: with less than that rounding is no noise of its own."""
 
+_LIKE_A_FILTER = 3.0  # correlated noise over the scatter of a word by white noise
 _AT_REST_DPH = 150.0  # ten earth rates: a gyro whose mean output is more than that was turning
 
 
@@ -313,8 +342,15 @@ def _not_by_the_model(one: NoiseOf) -> list[str]:
         lines = ", ".join(f"{line:.4g}" for line in fit.lines_hz[:5])
         more = f" and {len(fit.lines_hz) - 5} more" if len(fit.lines_hz) > 5 else ""
         said.append(
-            f"a line stands in the spectrum at {lines} Hz{more}: a vibration or a pickup, which the model takes "
-            "for noise. Find it, and record again."
+            f"a line stands in the spectrum at {lines} Hz{more}: a vibration or a pickup whose amplitude or "
+            "frequency is not constant, which the model takes for noise. Find it, and record again."
+        )
+    fast = fit.coefficients.get("angle_random_walk", 0.0) / math.sqrt(one.duration_s / fit.words)
+    if (noise := fit.coefficients.get("correlated_noise", 0.0)) > _LIKE_A_FILTER * fast:
+        corner = 1 / (2 * math.pi * fit.coefficients["correlation_time"])
+        said.append(
+            f"correlated noise of {3600 * noise:.3g} deg/h is far more than all that is faster: so looks white "
+            f"noise behind a filter of {corner:.2g} Hz. If there is one, state allan.output_filter_hz."
         )
     if fit.bands:
         # one that is wide says more than one of a few slow lines
@@ -342,13 +378,20 @@ def _not_by_the_model(one: NoiseOf) -> list[str]:
 def sections(found: AllanEvaluation, run: SavedRun, settings: FogSettings, result: Result) -> list[Section]:
     """Return the sections of the report."""
     caption = "Overlapping Allan deviation; bars: standard uncertainty. Line: fitted model; dashed: its terms."
+    of_spectrum = "Averaged periodogram of the same output; bars: standard uncertainty. Line: fitted model."
     return [
         Section("What was fitted", sentences=result.sentences),
         *(
-            Section(
-                f"Noise of {one.key}", figures=(PlacedFigure(_svg(one, place), caption),), table=term_table(one)
-            )
+            section
             for place, one in enumerate(found.records)
+            for section in (
+                Section(
+                    f"Noise of {one.key}",
+                    figures=(PlacedFigure(_svg(one, place), caption),),
+                    table=term_table(one),
+                ),
+                Section(f"Spectrum of {one.key}", figures=(PlacedFigure(_spectrum(one, place), of_spectrum),)),
+            )
         ),
     ]
 
@@ -361,17 +404,45 @@ def _svg(one: NoiseOf, place: int) -> str:
         tau = one.curve.tau_s
         deviation, u = 3600 * one.curve.deviation, 3600 * one.curve.deviation_u
         axes.errorbar(tau, deviation, u, fmt="o", ms=3, color=INK, linewidth=0.7, label="measured")
-        model = 3600 * np.sqrt(allan_variance(one.fit.coefficients, tau))
-        axes.plot(tau, model, color=COLOURS[0], linewidth=1.6, label="model")
-        for index, (term, value) in enumerate(one.fit.coefficients.items(), start=1):
-            curve = 3600 * np.sqrt(allan_variance({term: value}, tau))
-            axes.plot(tau, curve, "--", color=COLOURS[index % 7], linewidth=0.9, label=TERMS[term].words)
+        terms = dict(one.fit.coefficients)
+        time = {"correlation_time": terms.pop("correlation_time", math.nan)}
+        variances = {
+            TERMS[term].words: allan_variance({term: value} | time, tau) for term, value in terms.items()
+        } | {
+            f"{line.frequency_hz:.4g} Hz": sinusoid_variance(line.frequency_hz, line.amplitude, tau)
+            for line in one.fit.sinusoids
+        }
+        total = np.asarray(sum(variances.values()))
+        axes.plot(tau, 3600 * np.sqrt(total), color=COLOURS[0], linewidth=1.6, label="model")
+        for index, (term, variance) in enumerate(variances.items(), start=1):
+            colour = COLOURS[index % 7]
+            axes.plot(tau, 3600 * np.sqrt(variance), "--", color=colour, linewidth=0.9, label=term)
         axes.set(xscale="log", yscale="log", xlabel="averaging time, s", ylabel="Allan deviation, deg/h")
         axes.set_ylim(0.5 * float(deviation.min()), 2.0 * float(deviation.max()))
         axes.grid(color=SOFT, linewidth=0.3)
         legend_above(axes, columns=4)
 
     return svg_element(f"allan-{place}", WIDE, draw)
+
+
+def _spectrum(one: NoiseOf, place: int) -> str:
+    """Draw the spectrum of the output and that of the model."""
+
+    def draw(figure: Figure) -> None:
+        axes = figure.add_subplot()
+        frequency, level, u = one.spectrum
+        root = 3600 * np.sqrt(level)
+        axes.errorbar(
+            frequency, root, root * u / level / 2, fmt="o", ms=3, color=INK, linewidth=0.7, label="measured"
+        )
+        axes.plot(frequency, 3600 * np.sqrt(one.modelled), color=COLOURS[0], linewidth=1.6, label="model")
+        for line in one.fit.sinusoids:
+            axes.axvline(line.frequency_hz, color=COLOURS[2], linewidth=0.7, linestyle=":")
+        axes.set(xscale="log", yscale="log", xlabel="frequency, Hz", ylabel="output, deg/h per √Hz")
+        axes.grid(color=SOFT, linewidth=0.3)
+        legend_above(axes, columns=2)
+
+    return svg_element(f"spectrum-{place}", WIDE, draw)
 
 
 def plan(settings: FogSettings) -> list[PlannedSegment]:
@@ -492,6 +563,8 @@ def _coefficients(record: Mapping[str, Any], path: Path) -> dict[str, float]:
             raise UsageError(f"{path}: {declared.key()}: {value!r} is no number of {unit}, 0 or more")
         if value:
             found[term] = value / declared.scale
+    if ("correlated_noise" in found) != ("correlation_time" in found):
+        raise UsageError(f"{path}: correlated_noise_dph and correlation_time_s belong together: state both")
     if not any(name != "rate_ramp" for name in found):
         names = ", ".join(declared.key() for declared in TERMS.values())
         raise UsageError(f"{path}: holds no noise model; it has numbers under the names {names}")

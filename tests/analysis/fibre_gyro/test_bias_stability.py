@@ -4,7 +4,13 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from analysis.fibre_gyro import deviation_of_means, fit_noise
+from analysis.fibre_gyro import (
+    allan_variance,
+    averaged_periodogram,
+    deviation_of_means,
+    fit_noise,
+    noise_spectrum,
+)
 
 RATE, TAU, COUNT = 10.0, 10.0, 360
 
@@ -56,4 +62,36 @@ def test_noise_of_a_markov_process_is_no_random_walk() -> None:
     keep = np.exp(-1 / 3000)
     slow = lfilter([np.sqrt(1 - keep**2)], [1, -keep], rng.standard_normal(360_000))
     fit = fit_noise(8e-4 * rng.standard_normal(slow.size) + 1.7e-4 * slow, 0.01)
-    assert fit.bands and min(power for _, _, power in fit.bands) < 0.1
+    assert fit.chosen == ("angle_random_walk", "correlated_noise") and not fit.bands
+    truth = {"angle_random_walk": 8e-5, "correlated_noise": 1.7e-4, "correlation_time": 30.0}
+    for name, value in truth.items():
+        assert fit.low_95[name] < value < fit.high_95[name]
+        assert fit.coefficients_u[name] < 0.2 * value
+
+
+def test_a_steady_line_is_taken_out_and_one_that_is_not_is_told() -> None:
+    rng = np.random.default_rng(4)
+    at, words = np.arange(60_000) * 0.02, 8e-4 * rng.standard_normal(60_000)
+    words[1000:1020] = np.nan
+    steady = fit_noise(words + 3e-4 * np.cos(2 * np.pi * 1.2345 * at) + 2e-4 * np.sin(2 * np.pi * 11.1 * at), 0.02)
+    assert [line.frequency_hz for line in steady.sinusoids] == pytest.approx([1.2345, 11.1], abs=4e-5)
+    for line, size in zip(steady.sinusoids, (3e-4, 2e-4), strict=True):
+        assert abs(line.amplitude - size) < 3 * line.amplitude_u < 0.1 * size
+    assert not steady.lines_hz and not steady.bands
+    assert abs(steady.coefficients["angle_random_walk"] - 8e-4 * 0.02**0.5) < 3e-7
+    wanders = fit_noise(words + 4e-4 * np.sin(2 * np.pi * 7.3 * at + 5 * np.sin(2 * np.pi * at / 100)), 0.02)
+    assert wanders.lines_hz and not wanders.sinusoids
+
+
+def test_the_spectrum_and_the_allan_variance_of_correlated_noise_are_those_of_a_long_run() -> None:
+    """Of words that are means over 0.5 s of a process of 8 s, made in steps of 0.05 s."""
+    rng, keep = np.random.default_rng(6), np.exp(-0.05 / 8)
+    fine = lfilter([np.sqrt(1 - keep**2)], [1, -keep], rng.standard_normal(4_000_000))
+    words = fine.reshape(-1, 10).mean(axis=1)
+    terms = {"correlated_noise": 1.0, "correlation_time": 8.0}
+    at, level, u = averaged_periodogram(words, 0.5)
+    seen = at > 0.002  # below it the bands are as wide as the window
+    assert np.all(abs(level / noise_spectrum(terms, at, 0.5) - 1)[seen] < 5 * (u / level)[seen])
+    for tau in (0.5, 4.0, 16.0, 64.0):
+        means = words[: words.size // int(2 * tau) * int(2 * tau)].reshape(-1, int(2 * tau)).mean(axis=1)
+        assert 0.5 * np.mean(np.diff(means) ** 2) == pytest.approx(float(allan_variance(terms, tau)), rel=0.04)

@@ -9,7 +9,7 @@ import pytest
 
 from instrument import TDS2014, FileFormatError
 from instrument.simulated import SimulatedTDS2014, TcpServer
-from instrument.simulated.links.replay import ReplayServer
+from instrument.simulated.controllers import LineServer, Replay
 from instrument.text_files import Transcript, read_transcript, recorded
 from station.cli import main
 
@@ -30,9 +30,10 @@ def taken(tmp_path):
 
 def test_the_same_session_again_byte_for_byte(taken):
     path, (identity, record, volts) = taken
-    with ReplayServer(read_transcript(path)) as server:
+    replay = Replay(read_transcript(path))
+    with LineServer(replay, tcp_port=0) as server:
         again = session(server.resource_name)
-        assert server.unknown == []
+        assert replay.unknown == []
     assert again == (identity, record, volts)
     assert np.array_equal(again[1].codes, record.codes)
 

@@ -56,8 +56,9 @@ def test_noise_of_all_slow_terms_says_nothing(tmp_path: Path) -> None:
         (lambda rng, white: np.convolve(white, np.ones(10) / 10)[:SIZE], "filtered"),
         (lambda rng, white: np.convolve(white, np.ones(2) / 2)[:SIZE], "filtered"),
         (lambda rng, white: np.asarray(lfilter(*butter(2, 0.4), white)), "filtered"),
-        (lambda rng, white: white + 0.5 * SIGMA * np.sin(2 * np.pi * 0.5 * TIME), "a line stands"),
-        (lambda rng, white: white + 0.2 * SIGMA * np.sin(2 * np.pi * 13.3 * TIME), "13.3"),
+        (lambda rng, white: white + 0.5 * SIGMA * np.sin(20 * np.sin(TIME / 20) + 3 * TIME), "a line stands"),
+        (lambda rng, white: white + 0.4 * SIGMA * np.sin(2 * np.pi * 13.3 * TIME) * (TIME < 700), "13.3"),
+        (low_pass(0.01), "behind a filter of 0.0"),
         (lambda rng, white: white + np.where(abs(TIME - 300) < 10, 5 * white, 0), "not the same all the time"),
         (lambda rng, white: np.where(TIME < SECONDS / 2, white, 2e-3), "stands still"),
         (lambda rng, white: white + 3 * SIGMA * (TIME > 400), "not the same all the time"),
@@ -65,7 +66,7 @@ def test_noise_of_all_slow_terms_says_nothing(tmp_path: Path) -> None:
         (lambda rng, white: 4 * SIGMA * np.round(white / (4 * SIGMA) + 0.3), "more digits"),
     ],
     ids=[
-        "30 Hz", "10 Hz", "mean of 10", "mean of 2", "second order", "slow line", "line",
+        "30 Hz", "10 Hz", "mean of 10", "mean of 2", "second order", "line that wanders", "line that ends", "0.01 Hz",
         "touched", "stuck", "jump", "turning", "coarse",
     ],
 )  # fmt: skip

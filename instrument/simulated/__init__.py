@@ -10,12 +10,12 @@ files of the models that have a memory card. The gyro of `fibre_gyro` is served 
 """
 
 from instrument.simulated.clock import Clock, RealClock, VirtualClock
+from instrument.simulated.controllers import SimulatedRateTable
 from instrument.simulated.faults import Fault, Faults
 from instrument.simulated.front_end.frontend import Signal
 from instrument.simulated.links.hislip import HislipServer
 from instrument.simulated.links.scope_servers import GpibAdapterServer, PtyServer, TcpServer
 from instrument.simulated.links.visa_library import resource_manager
-from instrument.simulated.rate_table import SimulatedRateTable
 from instrument.simulated.scope import SimulatedTDS2014
 
 __all__ = [

@@ -24,8 +24,7 @@ from instrument import RateTable
 from instrument.scpi import POINTS
 from instrument.simulated import SimulatedRateTable, SimulatedTDS2014, VirtualClock
 from instrument.simulated.clock import Clock
-from instrument.simulated.controllers import RateTableController
-from instrument.simulated.rate_table import TableMotion
+from instrument.simulated.controllers import RateTableController, TableMotion
 from station.controllers import open_simulated_rate_table, open_surroundings
 from station.errors import UsageError
 from station.results.numbers import AMPLITUDE, BACKSCATTER_PHASE, BEAT_FREQUENCY, INPUT_RATE, LOCK_IN_RATE

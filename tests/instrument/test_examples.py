@@ -90,7 +90,7 @@ def test_line_of() -> None:
 
 
 def test_clock_of_counter() -> None:
-    from instrument.fibre_gyro.logs import clock_of_counter
+    from instrument.fibre_gyro.log_clock import clock_of_counter
 
     assert clock_of_counter(np.array([126.0, 127.0, 0.0, 3.0])).tolist() == [0, 1, 2, 5]
 

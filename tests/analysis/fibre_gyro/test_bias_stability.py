@@ -4,13 +4,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from analysis.fibre_gyro import (
-    allan_variance,
-    averaged_periodogram,
-    deviation_of_means,
-    fit_noise,
-    noise_spectrum,
-)
+from analysis.fibre_gyro import allan_variance, averaged_periodogram, deviation_of_means, fit_noise, noise_spectrum
 
 RATE, TAU, COUNT = 10.0, 10.0, 360
 

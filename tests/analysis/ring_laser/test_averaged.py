@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from analysis.ring_laser import Detector, Gyro, Winking, beat_signal_on_table, mean_beat_on_table, signal_above
-from instrument.simulated.rate_table import TableMotion
+from instrument.simulated.controllers import TableMotion
 
 GYRO = Gyro(2000.0, 0.01, 0.6, 88.7, 28.2, start_phase=1.0, ripple_dps=2e-5, ripple_hz=1.0)
 WINKING = replace(GYRO, winking=Winking(2000.0, 0.01, gain_corner_hz=3000.0, phase_sum=0.0, cross_saturation=0.5))

@@ -9,7 +9,7 @@ from scipy.signal import lfilter
 
 from analysis.lockin_equation import rate_varying_beat
 from analysis.ring_laser import Detector, Gyro, axis_rate_on_table, beat_phase_on_table, beat_signal_on_table
-from instrument.simulated.rate_table import TableMotion
+from instrument.simulated.controllers import TableMotion
 
 # the axis is that of the table, and there is no earth rate on the equator: the table's rate is the gyro's
 GYRO = Gyro(

@@ -7,7 +7,7 @@ import pytest
 
 from analysis.lockin_equation import rate_varying_beat
 from analysis.ring_laser import Detector, Gyro, axis_rate_on_table, beat_signal_on_table, with_detector_noise
-from instrument.simulated.rate_table import TableMotion
+from instrument.simulated.controllers import TableMotion
 
 GYRO = Gyro(
     scale_factor=2000.0,

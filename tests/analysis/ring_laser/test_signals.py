@@ -17,7 +17,7 @@ from analysis.ring_laser import (
     signal_bounds,
     smooth_interval,
 )
-from instrument.simulated.rate_table import TableMotion
+from instrument.simulated.controllers import TableMotion
 
 GYRO = Gyro(2000.0, 0.01, 0.6, 88.7, 28.2, start_phase=1.0)
 DETECTOR = Detector(0.35, amplitude=0.4)

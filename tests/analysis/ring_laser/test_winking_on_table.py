@@ -9,7 +9,7 @@ from scipy.integrate import solve_ivp
 
 from analysis import fit_harmonics
 from analysis.ring_laser import Detector, Gyro, Winking, beat_signal_on_table
-from instrument.simulated.rate_table import TableMotion
+from instrument.simulated.controllers import TableMotion
 
 K, LOCK_IN, CORNER, XI, EPS = 2000.0, 0.01, 300.0, 0.6, 1.0
 WINKING = Winking(K, LOCK_IN, gain_corner_hz=CORNER, phase_sum=EPS, cross_saturation=XI)

@@ -6,7 +6,7 @@ from log_text import parse_gyro_log
 
 from instrument import FileFormatError
 from instrument.fibre_gyro import LogChoices, read_gyro_log, read_log
-from instrument.fibre_gyro.logs import clock_of_counter, find_clock
+from instrument.fibre_gyro.log_clock import clock_of_counter, find_clock
 
 LOST = [500, 501, 502, 2000, 3500, 3501, 4000]
 

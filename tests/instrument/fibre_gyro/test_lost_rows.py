@@ -5,7 +5,7 @@ import pytest
 from log_text import parse_gyro_log
 
 from instrument.errors import FileFormatError
-from instrument.fibre_gyro.logs import find_clock
+from instrument.fibre_gyro.log_clock import find_clock
 
 
 def stamps(rng, rate, count, lost, step):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from instrument.simulated import SimulatedRateTable, VirtualClock
-from instrument.simulated.rate_table import TableMotion
+from instrument.simulated.controllers import TableMotion
 
 
 def test_azimuth_is_the_integral_of_the_rate():

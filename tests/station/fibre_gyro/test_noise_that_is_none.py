@@ -66,8 +66,8 @@ def test_noise_of_all_slow_terms_says_nothing(tmp_path: Path) -> None:
         (lambda rng, white: 4 * SIGMA * np.round(white / (4 * SIGMA) + 0.3), "more digits"),
     ],
     ids=[
-        "30 Hz", "10 Hz", "mean of 10", "mean of 2", "second order", "line that wanders", "line that ends", "0.01 Hz",
-        "touched", "stuck", "jump", "turning", "coarse",
+        "30 Hz", "10 Hz", "mean of 10", "mean of 2", "second order", "line that wanders", "line that ends",
+        "0.01 Hz", "touched", "stuck", "jump", "turning", "coarse",
     ],
 )  # fmt: skip
 def test_what_is_no_noise_of_the_model_is_named(tmp_path: Path, noise: Noise, named: str) -> None:

@@ -69,6 +69,7 @@ class GyroLog:
     begin_s: float  # time of the first row by the file's own column; 0 without one
     outputs: dict[str, Floats]  # columns with an output: "counts", "counts_x",
     unit: str  # of all outputs, one of `OUTPUT_UNITS`
+    each: int  # rows of the file in one output: more than one where it is too long to be held row by row
     rest: Recording  # times, further columns and gaps; its counts are the first output's
 
     def recording(self, axis: str = "", *, counts_per_dps: float | None = None) -> Recording:
@@ -152,12 +153,13 @@ def _read(text: IO[str], choices: LogChoices) -> GyroLog:
         units.extend(found)
         return names
 
-    names, table = read_table(text, names_of, choices.skip_bad_rows)
+    names, table = read_table(text, names_of, choices.skip_bad_rows, choices.interval_s)
     columns = {name: table.values[:, place].copy() for place, name in enumerate(one for one in names if one)}
     unit_of = {name: unit for name, unit in zip(names, units, strict=True) if name}
     outputs = {name: columns.pop(name) for name in list(columns) if is_output(name)}
     unit = _output_unit(outputs, unit_of, choices.units)
-    _check_words(outputs, table.lines)
+    if table.each == 1:
+        _check_words(outputs, table.lines)
     if (unit_of_angle := unit_of.get(TABLE_ANGLE, "")) not in ("", "deg", "degree", "degrees", "°"):
         raise FileFormatError(f"the angle of the table must be in deg, not in {unit_of_angle!r}")
     if TEMPERATURE in columns:
@@ -177,7 +179,8 @@ def _read(text: IO[str], choices: LogChoices) -> GyroLog:
     for name, words in ((COUNTER, counter), (STATUS, status)):
         if words is not None and (large := np.abs(words) > 2.0**53).any():
             raise FileFormatError(f"line {table.lines[large.argmax()]}: the {name} is {words[large.argmax()]:g}")
-    clock, kind = _clock(times, counter, table, choices.interval_s)
+    stated = choices.interval_s and choices.interval_s * table.each
+    clock, kind = _clock(times, counter, table, stated)
     gaps = _gaps(clock)
     missing, bad = sum(gap.missing for gap in gaps), Counter(table.bad)
     rest = Recording(
@@ -187,11 +190,13 @@ def _read(text: IO[str], choices: LogChoices) -> GyroLog:
         status=None if status is None else status.astype(np.int64),
         extra=columns,
         gaps=gaps,
-        losses=Losses(good=len(table.lines), missing=missing, unusable=bad.total(), reasons=dict(bad)),
+        losses=Losses(
+            good=len(table.lines), missing=missing + table.put_in, unusable=bad.total(), reasons=dict(bad)
+        ),
         interval_s=clock.interval_s,
         clock=kind,
     )
-    return GyroLog(0.0 if times is None else float(times[0]), outputs, unit, rest)
+    return GyroLog(0.0 if times is None else float(times[0]), outputs, unit, table.each, rest)
 
 
 # ---------------------------------------------------------------------- columns
@@ -384,6 +389,9 @@ def _gaps(clock: LogClock) -> tuple[Gap, ...]:
 _COMMENTS = ("#", "%", "!", "//")
 _BLOCK = 1 << 21  # characters read at once
 _SAMPLE = 400  # lines that tell the separator
+MOST_ROWS = 2_000_000  # that are held
+_EVEN = 1024
+_SHORT_PAUSE, _NEAR = 64, 65  # rows in a row that are put in; rows that say what they are like
 
 
 @dataclass(frozen=True)
@@ -406,12 +414,16 @@ class LogTable:
     values: Floats
     lines: NDArray[np.int64]
     bad: list[str]  # rows that were left out: line, and what is wrong with it
+    each: int = 1  # rows of the file whose mean is one row here
+    put_in: int = 0  # rows that were missing in those means
 
 
 Names = Callable[[Dialect], list[str]]  # gives each column its name, "" to leave it out
 
 
-def read_table(text: IO[str], names_of: Names, skip: int = 0) -> tuple[list[str], LogTable]:
+def read_table(
+    text: IO[str], names_of: Names, skip: int = 0, interval_s: float | None = None
+) -> tuple[list[str], LogTable]:
     """Read all rows; a column of dates beside that of clock times goes into it."""
     blocks = _blocks(text)
     first = next(blocks, None)
@@ -419,7 +431,7 @@ def read_table(text: IO[str], names_of: Names, skip: int = 0) -> tuple[list[str]
         raise FileFormatError("there is not one row of numbers; is it the right file?")
     dialect = _dialect(first[1])
     names = names_of(dialect)
-    parts, lines, bad = [], [], list[str]()
+    rows, bad = _Rows([name for name in names if name not in ("", DATE)], interval_s), list[str]()
     days: dict[str, int] = {}
     for begin, block in itertools.chain([first], blocks):
         numbered = [
@@ -429,15 +441,113 @@ def read_table(text: IO[str], names_of: Names, skip: int = 0) -> tuple[list[str]
         ]
         if numbered:
             numbers, kept = _numbers(numbered, dialect, names, days, bad, skip)
-            parts.append(numbers)
-            lines.append(np.array(kept, dtype=np.int64))
-    values = np.concatenate(parts)
+            rows.add(numbers, np.array(kept, dtype=np.int64), clock_only=list(days) == [""])
+    values, lines = rows.all()
     if not values.size:
         raise FileFormatError(f"no row can be read: {bad[0]}")
     if days:
         at = sum(name not in ("", DATE) for name in names[: names.index(TIME)])
         values[:, at] = _since_2000(values[:, at], list(days))
-    return ["" if name == DATE else name for name in names], LogTable(values, np.concatenate(lines), bad)
+    table = LogTable(values, lines, bad, rows.each, rows.put_in)
+    return ["" if name == DATE else name for name in names], table
+
+
+class _Rows:
+    """Rows as they come; where they are more than memory should hold, means of two, of four, .. of them."""
+
+    # A mean of rows is what the gyro itself would have sent at a lower rate: no noise model changes. Rows that are
+    # missing are put in as their neighbours are and as they scatter; a pause stays one.
+
+    def __init__(self, names: list[str], interval_s: float | None) -> None:
+        self.each, self.put_in, self._clock_only = 1, 0, False
+        self._names, self._interval_s = names, interval_s
+        self._outputs = [place for place, name in enumerate(names) if is_output(name)]
+        self._fresh: list[tuple[Floats, NDArray[np.int64]]] = []
+        self._means: list[tuple[Floats, NDArray[np.int64]]] = []
+        self._left = np.empty((0, len(names))), np.empty(0, dtype=np.int64)  # too few for a mean
+        self._last: tuple[Floats, NDArray[np.int64]] | None = None  # row, by which the next ones are placed
+        self._counted = 0
+        self._rng = np.random.default_rng(0)
+
+    def add(self, values: Floats, lines: NDArray[np.int64], *, clock_only: bool) -> None:
+        """Take the next rows."""
+        self._fresh.append((values, lines))
+        most = MOST_ROWS if self.each == 1 else MOST_ROWS // 2
+        self._clock_only = clock_only
+        if sum(rows.size for _, rows in self._fresh) > most and TABLE_ANGLE not in self._names:
+            self._shorten(_EVEN)
+
+    def all(self) -> tuple[Floats, NDArray[np.int64]]:
+        """Return all rows; of means those that are whole."""
+        if self.each > 1:
+            self._shorten(1)
+        parts = self._means or self._fresh
+        values, lines = (np.concatenate(one) for one in zip(*parts, strict=True))
+        there = np.isfinite(values).all(axis=1)
+        return values[there], lines[there]
+
+    def _shorten(self, even: int) -> None:
+        parts = [self._left]
+        if self._fresh:
+            parts.append(self._with_missing_rows(*map(np.concatenate, zip(*self._fresh, strict=True))))
+        values, lines = map(np.concatenate, zip(*parts, strict=True))
+        self.each = max(self.each, 2)
+        count = lines.size // (even * self.each) * even * self.each  # the number of means can be halved often
+        self._means.append(self._mean_of(values[:count], lines[:count], self.each))
+        self._left, self._fresh = (values[count:], lines[count:]), []
+        while sum(rows.size for _, rows in self._means) > MOST_ROWS:
+            self.each *= 2
+            values, lines = (np.concatenate(one) for one in zip(*self._means, strict=True))
+            count = lines.size // 2 * 2
+            self._means = [self._mean_of(values[:count], lines[:count], 2)]
+
+    def _mean_of(self, values: Floats, lines: NDArray[np.int64], number: int) -> tuple[Floats, NDArray[np.int64]]:
+        parts = values.reshape(-1, number, values.shape[1])
+        means = parts.mean(axis=1)
+        for place, name in enumerate(self._names):
+            if name in (COUNTER, STATUS):
+                means[:, place] = parts[:, 0, place] if name == COUNTER else parts[:, :, place].max(axis=1)
+        return means, lines[::number]
+
+    def _with_missing_rows(self, values: Floats, lines: NDArray[np.int64]) -> tuple[Floats, NDArray[np.int64]]:
+        """Rows at equal intervals behind those before; nan in a pause."""
+        _check_words({self._names[at]: values[:, at] for at in self._outputs}, lines)
+        if self._last is not None:
+            values, lines = np.concatenate([self._last[0], values]), np.concatenate([self._last[1], lines])
+        begun, self._last = self._last is not None, (values[-1:].copy(), lines[-1:])
+        places = np.arange(lines.size)
+        if COUNTER in self._names:
+            places = clock_of_counter(values[:, self._names.index(COUNTER)])
+        elif TIME in self._names:
+            times = values[:, self._names.index(TIME)]
+            if self._clock_only:
+                times += 86400.0 * np.concatenate([[0], np.cumsum(np.diff(times) < -43200.0)])
+            if np.any(np.diff(times) < 0):
+                at = lines[int(np.argmax(np.diff(times) < 0)) + 1]
+                raise FileFormatError(
+                    f"line {at}: the time goes back; in a log so long it must not: part it there"
+                )
+            places = find_clock(times - times[0], self._interval_s).places
+        steps = np.diff(places)
+        if steps.sum() > 2 * lines.size:
+            at = lines[int(np.argmax(steps)) + 1]
+            raise FileFormatError(f"line {at}: more time without rows than with them: part the log there")
+        whole = np.full((int(places[-1]) + 1, values.shape[1]), np.nan)
+        whole[places] = values
+        row = np.searchsorted(places, np.arange(len(whole)), side="right") - 1  # the one before
+        at = np.flatnonzero(np.isnan(whole[:, 0]) & (np.concatenate([steps, [1]])[row] <= _SHORT_PAUSE))
+        self.put_in += at.size
+        for place, name in enumerate(self._names):
+            level = values[:, place]
+            whole[at, place] = np.interp(at, places, level)
+            if name == COUNTER:
+                whole[:, place] = self._counted + np.arange(len(whole))
+                self._counted += len(whole) - 1
+            elif place in self._outputs:
+                scatter = float(np.median(np.abs(np.diff(level)))) / 0.954
+                smooth = np.convolve(level, np.ones(_NEAR) / _NEAR, "same")
+                whole[at, place] = smooth[row[at]] + scatter * self._rng.standard_normal(at.size)
+        return whole[begun:], lines[row][begun:]
 
 
 def _blocks(text: IO[str]) -> Iterator[tuple[int, list[str]]]:

@@ -77,6 +77,7 @@ class NoiseOf:
     stability_100s_u: float
     mean_dph: float
     remarks: tuple[str, ...]  # of what the words did
+    rows_averaged: int  # of the log, in one word
     by_design: bool  # whether the output came in counts, which only the scale factor by design turns into deg/s
 
 
@@ -136,7 +137,8 @@ def _noise_of(segment: Segment, settings: FogSettings) -> NoiseOf:
     modelled = noise_spectrum(fit.coefficients, spectrum[0], recording.interval_s, corner)
     return NoiseOf(
         segment.key, words.size * recording.interval_s, fit, curve, spectrum, modelled, *stability[0],
-        *stability[1], mean, tuple(remarks), by_design,
+        *stability[1], mean, tuple(remarks),
+        int(segment.conditions.get("rows_averaged", 1)), by_design,
     )  # fmt: skip
 
 
@@ -212,8 +214,9 @@ def result(found: AllanEvaluation, run: SavedRun, settings: FogSettings) -> Resu
         value = f"N = {with_uncertainty(60 * walk, 60 * u)} deg/√h"
     corner = _own(settings).output_filter_hz
     behind = f" behind a filter of {corner:g} Hz, which is taken out" if corner else ""
+    means = "" if first.rows_averaged == 1 else f" in means of {first.rows_averaged} rows, without what is faster"
     lines = [
-        f"{first.key}: {first.duration_s / 3600:.3g} h of output{behind}; by maximum likelihood, "
+        f"{first.key}: {first.duration_s / 3600:.3g} h of output{means}{behind}; by maximum likelihood, "
         f"in the model: {', '.join(TERMS[name].words for name in first.fit.chosen)}.",
         _stability_line(first),
     ]

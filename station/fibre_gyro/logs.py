@@ -306,9 +306,10 @@ def _number(text: str, place: str) -> float:
     return value
 
 
-def _unit(log: GyroLog) -> dict[str, str]:
-    """Unit of an output that is turned into counts by the scale factor by design."""
-    return {} if log.unit == "counts" else {"output_unit": log.unit}
+def _unit(log: GyroLog) -> dict[str, Any]:
+    """Unit of an output that is turned into counts by the scale factor by design; rows that one output is of."""
+    averaged = {"rows_averaged": log.each} if log.each > 1 else {}
+    return averaged if log.unit == "counts" else {"output_unit": log.unit, **averaged}
 
 
 def _begin(log: GyroLog, row: LogRow) -> dict[str, float]:

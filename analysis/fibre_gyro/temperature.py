@@ -19,6 +19,9 @@ and u is such that 1.96 u on both sides of the chosen model hold 95 % of that. (
 ruled by what is unlikely and far off.)
 
 Inside, Legendre polynomials over the measured range stand for the powers. Beyond that range nothing is given.
+
+A thermometer that is late, or a gyro that warms up after it, bends the curve one way on the way up and the other
+on the way down, which no polynomial does: the models are tried with the temperature of a little later and earlier.
 """
 
 from collections.abc import Sequence
@@ -40,6 +43,7 @@ _FLICKER_TERMS = 10
 _SEPARATE = 0.1  # part of the change of dT/dt that no polynomial in T explains: less cannot be told from one
 _NORMAL_95 = 1.959964
 _NEGLIGIBLE = 1e-7  # probability
+_LAGS = np.array([1, 2, 4, 8, 16]) / 320.0  # of the time of the run, by which a thermometer may be late or early
 _NOTHING_BEYOND = 2.0  # weight of no slow noise, in that of one up to the noise of a value
 
 
@@ -97,6 +101,9 @@ class OverTemperature:
     noise_u: float  # mean noise of a value, and standard deviation of the slow noise (mean over what is likely)
     slow: float
     slow_kind: str  # the likeliest of `SLOW_NOISES`
+    # by how much the thermometer is late where the values say so best, s, and by how much AICc is lower there
+    lag_s: float
+    lag_gain: float
     legendre: Floats
     likely: Mixture
 
@@ -186,37 +193,54 @@ def fit_over_temperature(
         (order, with_rate) for order in range(most + 1) for with_rate in ((False, True) if known else (False,))
     ]
     trials = [one for one in trials if value.size - sum(one) - 1 - 3 > 0] or [(0, False)]
-    noise = _noise_hypotheses(value, u, at, design)
+    lags = float(np.ptp(at)) * np.concatenate([[0.0], _LAGS, -_LAGS])
+    designs, by_time = [design], np.argsort(at)
+    for lag in lags[1:]:
+        later, its_rate = (np.interp(at + lag, at[by_time], one[by_time]) for one in (warm, rate / (scale or 1.0)))
+        designs.append(np.column_stack([_legendre(later, lowest, highest, most), its_rate]))
+    width = most + 2
+    noise = _noise_hypotheses(value, u, at, np.hstack(designs), width)
+    of_lags = [
+        min(
+            _fit([width * place + column for column in _columns(one, most)], noise, value.size).aicc
+            for one in trials
+        )
+        for place in range(lags.size)
+    ]
     fits = [_fit(_columns(one, most), noise, value.size) for one in trials]
     least = min(one.aicc for one in fits)
     weight = np.exp(-(np.array([one.aicc for one in fits]) - least) / 2)
     weight /= weight.sum()
     best = int(np.argmax(weight))
     chosen = fits[best]
-    likely = _mixture(fits, weight, design.shape[1])
+    likely = _mixture(fits, weight, width)
+    coefficients = chosen.coefficients[:width]
+    latest = int(np.argmin(of_lags))
     order, with_rate = trials[best]
     to_powers = _to_powers(lowest, highest, reference, most)
     powers = np.column_stack([to_powers, np.zeros(most + 1)])
-    powers_u = likely.standard_u(powers, chosen.coefficients)
+    powers_u = likely.standard_u(powers, coefficients)
     ranked = sorted(range(len(trials)), key=lambda one: -float(weight[one]))
-    rate_u = _rate_u(likely, chosen.coefficients, with_rate=with_rate) / scale if known else float("nan")
+    rate_u = _rate_u(likely, coefficients, with_rate=with_rate) / scale if known else float("nan")
     return OverTemperature(
         order=order,
         with_rate=with_rate,
         rate_known=known,
         reference=reference,
-        coefficients=(powers @ chosen.coefficients)[: order + 1],
+        coefficients=(powers @ coefficients)[: order + 1],
         coefficients_u=powers_u[: order + 1],
-        rate_coefficient=float(chosen.coefficients[-1]) / (scale or 1.0) if known else float("nan"),
+        rate_coefficient=float(coefficients[-1]) / (scale or 1.0) if known else float("nan"),
         rate_coefficient_u=rate_u,
         lowest=lowest,
         highest=highest,
         candidates=tuple(Candidate(*trials[k], fits[k].aicc - least, float(weight[k])) for k in ranked),
-        residual=np.asarray(value - design @ chosen.coefficients, dtype=np.float64),
+        residual=np.asarray(value - design @ coefficients, dtype=np.float64),
         noise_u=float(np.sqrt(np.mean(u**2))),
         slow=float(chosen.likely @ noise.size),
         slow_kind=SLOW_NOISES[int(np.argmax(np.bincount(noise.kind, chosen.likely * noise.size)))],
-        legendre=chosen.coefficients,
+        lag_s=float(lags[latest]),
+        lag_gain=float(of_lags[0] - of_lags[latest]),
+        legendre=coefficients,
         likely=likely,
     )
 
@@ -262,7 +286,8 @@ class _Noise:
     products: Floats  # (h, p + 1, p + 1): X^T V^-1 X, X the columns of the design and, last, the values
 
 
-def _noise_hypotheses(value: Floats, u: Floats, at: Floats, design: Floats) -> _Noise:
+def _noise_hypotheses(value: Floats, u: Floats, at: Floats, design: Floats, width: int) -> _Noise:
+    design, every = design[:, :width], design
     left = value - design @ np.linalg.lstsq(design, value, rcond=None)[0]
     quiet = float(np.sqrt(np.mean(u**2)))
     spread = float(np.sqrt(left @ left / max(value.size - design.shape[1], 1)))
@@ -285,7 +310,7 @@ def _noise_hypotheses(value: Floats, u: Floats, at: Floats, design: Floats) -> _
         for one, weight in zip(size[1:], share[1:], strict=True)
         for kind in range(len(shapes))
     ]
-    both = np.column_stack([design, value])
+    both = np.column_stack([every, value])
     products, determinants = [], []
     for one, kind, _ in rows:
         factor = np.linalg.cholesky(np.diag(u**2) + one**2 * shapes[kind])

@@ -463,7 +463,8 @@ class _Rows:
         self._names, self._interval_s = names, interval_s
         self._outputs = [place for place, name in enumerate(names) if is_output(name)]
         self._fresh: list[tuple[Floats, NDArray[np.int64]]] = []
-        self._means: list[tuple[Floats, NDArray[np.int64]]] = []
+        # held in one piece, since many that come and go would leave holes in the memory
+        self._means, self._lines, self._count = np.empty((0, len(names))), np.empty(0, dtype=np.int64), 0
         self._left = np.empty((0, len(names))), np.empty(0, dtype=np.int64)  # too few for a mean
         self._last: tuple[Floats, NDArray[np.int64]] | None = None  # row, by which the next ones are placed
         self._counted = 0
@@ -481,8 +482,9 @@ class _Rows:
         """Return all rows; of means those that are whole."""
         if self.each > 1:
             self._shorten(1)
-        parts = self._means or self._fresh
-        values, lines = (np.concatenate(one) for one in zip(*parts, strict=True))
+            values, lines = self._means[: self._count], self._lines[: self._count]
+        else:
+            values, lines = map(np.concatenate, zip(*self._fresh, strict=True))
         there = np.isfinite(values).all(axis=1)
         return values[there], lines[there]
 
@@ -493,21 +495,26 @@ class _Rows:
         values, lines = map(np.concatenate, zip(*parts, strict=True))
         self.each = max(self.each, 2)
         count = lines.size // (even * self.each) * even * self.each  # the number of means can be halved often
-        self._means.append(self._mean_of(values[:count], lines[:count], self.each))
-        self._left, self._fresh = (values[count:], lines[count:]), []
-        while sum(rows.size for _, rows in self._means) > MOST_ROWS:
+        self._left, self._fresh = (values[count:].copy(), lines[count:].copy()), []
+        self._keep(self._count, values[:count], lines[:count], self.each)
+        while self._count > MOST_ROWS:
             self.each *= 2
-            values, lines = (np.concatenate(one) for one in zip(*self._means, strict=True))
-            count = lines.size // 2 * 2
-            self._means = [self._mean_of(values[:count], lines[:count], 2)]
+            whole = self._count // 2 * 2
+            self._keep(0, self._means[:whole], self._lines[:whole], 2)
 
-    def _mean_of(self, values: Floats, lines: NDArray[np.int64], number: int) -> tuple[Floats, NDArray[np.int64]]:
+    def _keep(self, at: int, values: Floats, lines: NDArray[np.int64], number: int) -> None:
+        """Hold the means of so many rows each from a place on."""
         parts = values.reshape(-1, number, values.shape[1])
         means = parts.mean(axis=1)
         for place, name in enumerate(self._names):
             if name in (COUNTER, STATUS):
                 means[:, place] = parts[:, 0, place] if name == COUNTER else parts[:, :, place].max(axis=1)
-        return means, lines[::number]
+        self._count = at + len(means)
+        if (short := self._count - self._lines.size) > 0:
+            more = short + 2 * MOST_ROWS
+            self._means = np.concatenate([self._means, np.empty((more, len(self._names)))])
+            self._lines = np.concatenate([self._lines, np.empty(more, dtype=np.int64)])
+        self._means[at : self._count], self._lines[at : self._count] = means, lines[::number].copy()
 
     def _with_missing_rows(self, values: Floats, lines: NDArray[np.int64]) -> tuple[Floats, NDArray[np.int64]]:
         """Rows at equal intervals behind those before; nan in a pause."""

@@ -80,6 +80,7 @@ class TemperatureSettings(TestSettings):
     settle_s: NotNegative
     block_s: Positive
     window_s: Positive
+    thermometer_lag_s: Finite
     highest_order: Annotated[int, Field(ge=1, le=6)]
     table_step_c: Positive
     misalignment_mrad: NotNegative
@@ -165,7 +166,7 @@ def _one_axis(
     axis: str, segments: Sequence[TimedSegment], settings: FogSettings, left_out: list[Excluded]
 ) -> AxisTemperature:
     chosen = _own(settings)
-    course = course_of(segments, chosen.window_s)
+    course = course_of(segments, chosen.window_s, chosen.thermometer_lag_s)
     at_rest = [one for one in segments if not one.segment.conditions["rate_dps"]]
     remarks: list[str] = []
     at_rates = [one for one in segments if one.segment.conditions["rate_dps"]]
@@ -318,8 +319,9 @@ class TemperatureCourse:
         return temperature_course(self.times, self.temperature, at_s, window_s=self.window_s)[2]
 
 
-def course_of(segments: Sequence[TimedSegment], window_s: float) -> TemperatureCourse:
+def course_of(segments: Sequence[TimedSegment], window_s: float, lag_s: float = 0.0) -> TemperatureCourse:
     """Return the course of the temperature: of the gyro's thermometer, else of the chamber's or the list's."""
+    # `lag_s`: by how much the thermometer is known to be late
     times, warm = [], []
     for one in segments:
         recording, conditions = one.segment.recording, one.segment.conditions
@@ -340,7 +342,9 @@ def course_of(segments: Sequence[TimedSegment], window_s: float) -> TemperatureC
     whole = when.size // step * step
     # neighbours are taken together: their mean keeps what they know
     return TemperatureCourse(
-        when[:whole].reshape(-1, step).mean(axis=1), values[:whole].reshape(-1, step).mean(axis=1), window_s
+        when[:whole].reshape(-1, step).mean(axis=1) - lag_s,
+        values[:whole].reshape(-1, step).mean(axis=1),
+        window_s,
     )
 
 
@@ -551,6 +555,7 @@ QUANTITIES = (
     QuantityGroup(COMPENSATION, "axes.compensation"),
     QuantityGroup(repeated(NUMBERS)),
 )
+_CLEAR_LAG = 14.0  # by so much AICc must be lower with a late thermometer
 _NOISY_RATE = 0.01
 
 
@@ -687,7 +692,7 @@ def _choice_in_words(name: str, modelled: Modelled) -> str:
 
 
 def _to_watch(found: TemperatureEvaluation, settings: FogSettings) -> list[str]:
-    said = [f"{one.sentence}." for one in found.left_out]
+    said, own = [f"{one.sentence}." for one in found.left_out], _own(settings)
     for one in found.axes:
         if one.bias is not None and not one.bias.model.rate_known:
             said.append(
@@ -699,6 +704,15 @@ def _to_watch(found: TemperatureEvaluation, settings: FogSettings) -> list[str]:
                 f"{one.axis}: {100 * one.rate_noise:.2g} % of the scatter of dT/dt is noise of the thermometer: "
                 "its coefficient comes out too small by about that. Use a longer temperature.window_s."
             )
+        for what, modelled in (("bias", one.bias), ("scale factor", one.scale)):
+            if modelled is not None and modelled.model.lag_gain > _CLEAR_LAG:
+                lag = modelled.model.lag_s
+                when = f"about {abs(lag):.0f} s {'later' if lag > 0 else 'before'}"
+                said.append(
+                    f"{one.axis}: the {what} follows what the thermometer says {when}: it is "
+                    f"{'late' if lag > 0 else 'ahead of the gyro'}, and the model and its order are wrong. State "
+                    f"temperature.thermometer_lag_s ({own.thermometer_lag_s + lag:.0f}), or change more slowly."
+                )
         if one.scale is None:
             said.append(
                 f"{one.axis}: no scale factor was measured; the bias rests on the one by design, "

@@ -145,7 +145,14 @@ def test_a_ramp_that_was_cut_short_goes_on(quick, taken, fog_settings, monkeypat
 
 
 def ramp_with(
-    folder: Path, *, play_c: float = 0.0, by_rate: float = 0.0, slope: float = 0.02, seed: int = 0
+    folder: Path,
+    *,
+    play_c: float = 0.0,
+    by_rate: float = 0.0,
+    slope: float = 0.02,
+    bend: float = 0.0,
+    late_s: float = 0.0,
+    stated_s: float = 0.0,
 ) -> Any:
     """A log at rest over one ramp up and down at 1 K/min; the temperature of the bias lags by a play."""
     rng, seconds = np.random.default_rng(0), np.arange(0.0, 9600.0, 0.5)
@@ -155,6 +162,8 @@ def ramp_with(
         low, high = temperature[place] - play_c / 2, temperature[place] + play_c / 2
         felt[place] = min(max(felt[place - 1], low), high)
     bias = 0.4 + slope * (felt - 20.0) + by_rate * np.gradient(temperature, seconds) * 60.0
+    bias += bend * (felt - 20.0) ** 2
+    temperature = np.interp(seconds - late_s, seconds, temperature)  # as the thermometer says it
     earth = 15.041067 * np.sin(np.deg2rad(load_fog_settings().site.latitude_deg))
     words = earth + bias + rng.normal(0.0, 0.4, seconds.size)
     header = "time_s,gyro z [deg/h],temperature"
@@ -166,7 +175,8 @@ def ramp_with(
         header=header,
         comments="",
     )
-    settings = load_fog_settings(overrides={"output": {"directory": str(folder)}})
+    stated = {"thermometer_lag_s": stated_s}
+    settings = load_fog_settings(overrides={"output": {"directory": str(folder)}, "temperature": stated})
     done = start_run(measurement("temperature"), settings, QUIET, paths=[folder / "ramp.csv"])
     return evaluate_run(open_run(done.path))
 
@@ -183,6 +193,21 @@ def test_going_up_less_going_down_is_given_with_what_it_may_be(tmp_path: Path, h
     if truth:  # it is seen
         assert abs(found["bias_hysteresis_dph"]) > 1.5 * found["bias_hysteresis_u_dph"]
     assert "cannot tell hysteresis, a drift and an effect of dT/dt apart" in evaluated.result.sentences[-1]
+
+
+@pytest.mark.parametrize("late_s", [0.0, 120.0, -200.0])
+def test_a_thermometer_that_is_late_is_told_and_can_be_stated(tmp_path: Path, late_s: float) -> None:
+    """A parabola: beside a late thermometer the other senses of the ramp make two of it."""
+    found = ramp_with(tmp_path, bend=2e-4, late_s=late_s).document()
+    said = [one for one in found["flags"] if "thermometer_lag_s" in one]
+    assert bool(said) == bool(late_s)
+    if late_s:
+        assert ("it is late" in said[0]) == (late_s > 0)
+        stated = ramp_with(tmp_path, bend=2e-4, late_s=late_s, stated_s=late_s).document()
+        assert not [one for one in stated["flags"] if "thermometer_lag_s" in one]
+        assert stated["axes"][0]["bias"]["order"] == 2
+        square, u = (stated["axes"][0]["bias"][f"coefficients{end}_dph"][2] for end in ("", "_u"))
+        assert abs(square - 2e-4) < 3 * u
 
 
 def test_several_times_up_and_down_with_a_stay_at_each_end() -> None:

@@ -18,8 +18,10 @@ from analysis.fibre_gyro.injection import (
     ScaleComparison,
     SlopeFit,
     StaticLevel,
+    TwoPiError,
     compare_scale,
     drift_in_slope,
+    estimate_two_pi_error,
     fit_slope,
     largest_step,
     net_outputs,
@@ -63,6 +65,14 @@ from analysis.fibre_gyro.rate_table import (
     table_runs,
     vertical_earth_rate_dph,
 )
+from analysis.fibre_gyro.response import (
+    FilterResponse,
+    SinePoint,
+    StepTrain,
+    sine_point,
+    sine_response,
+    step_response,
+)
 from analysis.fibre_gyro.scatter import NORMAL_95, RunScatter, few_values_factor, find_run_scatter
 from analysis.fibre_gyro.sensitivity import StimulusResponse, stimulus_response, tumble
 from analysis.fibre_gyro.staircase import (
@@ -86,7 +96,6 @@ from analysis.fibre_gyro.threshold import (
     small_rates,
 )
 from analysis.fibre_gyro.turn_on import Repeatability, TurnOn, repeatability, turn_on_transient
-from analysis.fibre_gyro.two_pi_error import TwoPiError, estimate_two_pi_error
 from analysis.fibre_gyro.window_mean import (
     WindowMean,
     check_whole_turns,

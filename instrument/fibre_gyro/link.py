@@ -7,7 +7,7 @@ the time that the gyro takes to answer (from its format), and the delay of the h
 import contextlib
 import math
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from types import TracebackType
 from typing import Any, Self
 
@@ -102,6 +102,7 @@ class FibreGyroLink:
         progress: Callable[[float], None] | None = None,
         axis: str = "",
         counts_per_dps: float | None = None,
+        inject_at: Sequence[tuple[float, float]] = (),
     ) -> Recording:
         """Record the gyro's output from now on.
 
@@ -118,6 +119,8 @@ class FibreGyroLink:
             Which output is the recording's, where frames hold several; the others become further columns.
         counts_per_dps : float, optional
             Turns an output in deg/s, deg/h or an angle into counts.
+        inject_at : sequence of (seconds, codes), optional
+            Staircases to inject while it records, `skip_s` included; answers are not waited for.
 
         Raises
         ------
@@ -138,7 +141,10 @@ class FibreGyroLink:
         builder = RecordBuilder(self.layout, skip, wanted, paced=paced)
         discarded = self._stream.tally.discarded
         fill = self._fill if self.layout.poll is None else self._fill_by_polls
+        to_come = list(inject_at)
         for _ in fill(builder):
+            if to_come and (builder.index + 1) * interval_s >= to_come[0][0]:
+                self._send_step(to_come.pop(0)[1])
             if progress is not None:
                 progress(min((builder.index + 1) * interval_s, (skip + wanted) * interval_s))
             if builder.done:
@@ -273,6 +279,14 @@ class FibreGyroLink:
     def hold_feedback(self) -> None:
         """Freeze the feedback at its present step. Errors as `inject`."""
         self._tell("hold_feedback", 0)
+
+    def _send_step(self, step_codes: float) -> None:
+        """Inject without waiting for the answer."""
+        number = round(step_codes * self.layout.step_scale)
+        for answer in (self.layout.accepted, self.layout.refused):
+            if answer is not None:
+                self._stream.expect(compose(answer, number, self.layout.check))
+        self._write(compose(self.layout.commands["inject"], number, self.layout.check))
 
     def _tell(self, name: str, number: int) -> None:
         message = self.layout.commands.get(name)

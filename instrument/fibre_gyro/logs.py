@@ -391,7 +391,8 @@ _BLOCK = 1 << 21  # characters read at once
 _SAMPLE = 400  # lines that tell the separator
 MOST_ROWS = 2_000_000  # that are held
 _EVEN = 1024
-_SHORT_PAUSE, _NEAR = 64, 65  # rows in a row that are put in; rows that say what they are like
+_SHORT_PAUSE = 64  # rows in a row that are put in
+_NEAR = 5000  # rows on either side that say about what: so many that their own noise is not counted twice
 
 
 @dataclass(frozen=True)
@@ -552,8 +553,10 @@ class _Rows:
                 self._counted += len(whole) - 1
             elif place in self._outputs:
                 scatter = float(np.median(np.abs(np.diff(level)))) / 0.954
-                smooth = np.convolve(level, np.ones(_NEAR) / _NEAR, "same")
-                whole[at, place] = smooth[row[at]] + scatter * self._rng.standard_normal(at.size)
+                total = np.concatenate([[0.0], np.cumsum(level - level[0])])
+                first, last = np.maximum(row[at] - _NEAR, 0), np.minimum(row[at] + _NEAR, level.size)
+                near = level[0] + (total[last] - total[first]) / (last - first)
+                whole[at, place] = near + scatter * self._rng.standard_normal(at.size)
         return whole[begun:], lines[row][begun:]
 
 

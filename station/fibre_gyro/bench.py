@@ -1,19 +1,22 @@
 """The bench of a fibre gyro: a serial link and a table that an operator turns, or both simulated."""
 
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import lfilter
 
 from analysis.fibre_gyro import ClosedLoop, LoopDesign, OutputBlock, OutputModel
 from analysis.rotation import EARTH_RATE_DPS
 from instrument import InstrumentError, ManualRateTable, RateTable
-from instrument.fibre_gyro import FibreGyroLink, Losses, Recording
+from instrument.fibre_gyro import FibreGyroLink, FrameFormat, Losses, Recording, counts_per_unit
+from instrument.simulated.fibre_gyro import PtyGyroServer, TcpGyroServer
 from station.controllers import open_rate_table, open_surroundings
+from station.errors import UsageError
 from station.fibre_gyro.segments import FogBench, PlannedSegment
 from station.fibre_gyro.settings import FogSettings
 from station.fibre_gyro.sniff import read_frame_format
@@ -82,13 +85,17 @@ class SerialFogBench:
 
     def record(self, planned: PlannedSegment, progress: Callable[[float], None]) -> Recording:
         """Record from the link; where frames hold several outputs, that of the segment's axis."""
-        return self._link.record(
+        times, steps = turned_over(planned)
+        recording = self._link.record(
             planned.seconds,
+            inject_at=list(zip(planned.settle_s + times, steps, strict=True)),
             skip_s=planned.settle_s,
             progress=progress,
             axis=str(planned.conditions.get("axis") or ""),
             counts_per_dps=self._counts_per_dps,
         )
+        self._step = steps[-1] if steps.size else self._step
+        return recording
 
     def leave(self) -> None:
         """Take the injection away, close the loop and stop the table; never raises."""
@@ -175,6 +182,7 @@ Floats = NDArray[np.float64]
 
 _PPM = 1e6
 _OPEN_LOOP_PERIOD_S = 0.05
+_PARTS = 8
 
 
 class SimulatedFogBench:
@@ -225,13 +233,30 @@ class SimulatedFogBench:
         seed = int(rng.integers(2**31))
         gyro: ClosedLoop | OutputModel
         gyro = ClosedLoop(coil, loop, seed) if self._model(planned) == "transit" else OutputModel(coil, loop, seed)
-        return gyro.run(
-            count + 1,
-            output_period_s=period,
-            rate_dps=self._rates(planned, count + 1, period, rng),
-            injected_step=float(planned.conditions.get("step_codes", 0.0)),
+        # a filter is computed in parts of an output
+        parts = _PARTS if simulation.output_filter_hz and not held else 1
+        fine, number = period / parts, (count + 1) * parts
+        block = gyro.run(
+            number,
+            output_period_s=fine,
+            rate_dps=self._rates(planned, number, fine, rng),
+            injected_step=self._injected(planned, number, fine, parts),
             closed=False if held else None,
         )
+        if parts == 1:
+            return block
+        turn = 2 * np.pi * simulation.output_filter_hz * fine
+        keep, begin = np.exp(-turn), float(np.mean(block.counts[:parts]))
+        ends = lfilter([1 - keep], [1, -keep], block.counts, zi=[keep * begin])[0]
+        before = np.concatenate([[begin], ends[:-1]])
+        counts = block.counts + (before - block.counts) * (1 - keep) / turn  # the mean over each part
+        return replace(block, counts=counts.reshape(-1, parts).mean(axis=1), interval_s=period)
+
+    def _injected(self, planned: PlannedSegment, count: int, period: float, skipped: int = 1) -> Floats:
+        """Injected step in each output period; the first ones are not kept."""
+        step, (times, steps) = float(planned.conditions.get("step_codes", 0.0)), turned_over(planned)
+        last = np.searchsorted(times, (np.arange(count) + 0.5 - skipped) * period) - 1
+        return np.where(last < 0, step, np.append(steps, step)[last])
 
     def _random(self, key: str) -> np.random.Generator:
         return np.random.default_rng([self._settings.simulation.seed, zlib.crc32(key.encode())])
@@ -285,6 +310,8 @@ class SimulatedFogBench:
         if gyro.output_resolution:
             counts = gyro.output_resolution * np.round(counts / gyro.output_resolution)
         extra = {"normal_error": block.normal_error[1:], "reset_error": block.reset_error[1:]} if held else {}
+        if "half_period_s" in planned.conditions:
+            extra["injected"] = self._injected(planned, count + 1, block.interval_s)[1:]
         return Recording(
             times=np.arange(count, dtype=np.float64) * block.interval_s,
             counts=counts,
@@ -307,6 +334,14 @@ class SimulatedFogBench:
             noise = self._settings.simulation.temperature_noise_c
             warm = warm + self._random(f"thermometer {planned.key}").normal(0, noise, count)
         return warm
+
+
+def turned_over(planned: PlannedSegment) -> tuple[Floats, Floats]:
+    """Times, s since the begin of what is kept, at which the injected step turns over, and the new steps."""
+    half = float(planned.conditions.get("half_period_s", 0.0))
+    times = np.arange(half, planned.seconds, half) if half else np.empty(0)
+    senses = np.where(np.arange(times.size) % 2, 1.0, -1.0)
+    return times, np.asarray(float(planned.conditions.get("step_codes", 0.0)) * senses, dtype=np.float64)
 
 
 def as_the_gyro_sees(rates: Floats, settings: FogSettings) -> Floats:
@@ -339,3 +374,109 @@ def loop_settings(settings: FogSettings) -> LoopDesign:
 def quiet(settings: LoopDesign) -> LoopDesign:
     """The same electronics without noise, for a picture of the signals."""
     return replace(settings, angle_random_walk_deg_per_sqrt_h=0.0)
+
+
+# --------------------
+# The simulated gyro behind a serial port, for practice and for tests: the model of the output words as frames.
+
+
+class ServedGyro:
+    """What a gyro server asks for numbers: output words of the settings' gyro at a rate that can be changed."""
+
+    def __init__(self, settings: FogSettings, interval_s: float) -> None:
+        self.rate_dps = 0.0
+        self.temperature_c = settings.figures.reference_temperature_c
+        self._settings, self._interval_s = settings, interval_s
+        simulation = settings.simulation
+        self._loop = loop_settings(settings)
+        coil = settings.coil.scaled(1 + 1e-6 * simulation.scale_change_ppm)
+        self._model = OutputModel(coil, self._loop, simulation.seed)
+        self._earth = EARTH_RATE_DPS * np.sin(np.deg2rad(settings.site.latitude_deg))
+        self._step, self._held = 0.0, False
+
+    def noise_from(self, number: int) -> None:
+        """Begin anew with other noise, for one of several gyros."""
+        coil = self._settings.coil.scaled(1 + 1e-6 * self._settings.simulation.scale_change_ppm)
+        self._model = OutputModel(coil, self._loop, self._settings.simulation.seed + number)
+
+    def samples(self, count: int) -> Mapping[str, NDArray[np.float64]]:
+        """The next output words, in counts."""
+        block = self._model.run(
+            count,
+            output_period_s=self._interval_s,
+            rate_dps=as_the_gyro_sees(np.array(self.rate_dps + self._earth), self._settings),
+            injected_step=self._step,
+            closed=not self._held,
+        )
+        gyro = self._settings.gyro
+        resolution = gyro.output_resolution or 1.0
+        counts = resolution * np.round(gyro.counts_per_code * block.counts / resolution)
+        return {
+            "counts": counts,
+            "temperature": np.full(count, self.temperature_c),
+            "normal_error": np.nan_to_num(block.normal_error),
+            "reset_error": np.nan_to_num(block.reset_error),
+        }
+
+    def command(self, name: str, step: float) -> None:
+        """Inject, hold the feedback, open or close the loop; ValueError for a step beyond the converter."""
+        if name != "inject":
+            self._held = name != "close_loop"
+        elif abs(step) > self._loop.largest_step:
+            raise ValueError(f"a step of {step:g} codes is beyond the converter")
+        else:
+            self._step = step
+
+
+class SpokenAs:
+    """A served gyro whose outputs are named, and in the unit, as a frame format has them."""
+
+    # Of several outputs that of the table's last axis sees its rate, the others are gyros at rest.
+
+    def __init__(self, gyro: ServedGyro, settings: FogSettings, layout: FrameFormat) -> None:
+        self._gyro = gyro
+        self._unit = 1.0
+        if layout.unit != "counts":
+            self._unit = 1 / counts_per_unit(layout.unit, layout.interval_s, settings.nominal_scale_factor)
+        turned = layout.output_of(settings.table.axes[-1])
+        self._turned = turned
+        self._others = {name: ServedGyro(settings, layout.interval_s) for name in layout.outputs if name != turned}
+        for number, other in enumerate(self._others.values(), start=1):
+            other.noise_from(number)
+
+    def samples(self, count: int) -> Mapping[str, NDArray[np.float64]]:
+        """The next output words of all gyros."""
+        made = dict(self._gyro.samples(count))
+        made[self._turned] = self._unit * made.pop("counts")
+        for name, other in self._others.items():
+            made[name] = self._unit * other.samples(count)["counts"]
+        return made
+
+    def command(self, name: str, step: float) -> None:
+        """What the gyro on the table is told; ValueError as there."""
+        self._gyro.command(name, step)
+
+
+@contextmanager
+def serve_gyro(
+    settings: FogSettings,
+    layout: FrameFormat,
+    *,
+    tcp_port: int | None = None,
+    speed: float = 1.0,
+    rate_dps: float = 0.0,
+    clock_ppm: float = 0.0,
+) -> Iterator[PtyGyroServer | TcpGyroServer]:
+    """Serve the simulated gyro until the context ends."""
+    gyro = ServedGyro(settings, layout.interval_s)
+    gyro.rate_dps = rate_dps
+    model = SpokenAs(gyro, settings, layout)
+    try:
+        if tcp_port is None:
+            server: PtyGyroServer | TcpGyroServer = PtyGyroServer(model, layout, speed=speed, clock_ppm=clock_ppm)
+        else:
+            server = TcpGyroServer(model, layout, tcp_port=tcp_port, speed=speed, clock_ppm=clock_ppm)
+    except OSError as error:
+        raise UsageError(f"the simulated gyro cannot be served: {error.strerror or error}") from None
+    with server:
+        yield server

@@ -372,7 +372,7 @@ def serve(
     """Serve the simulated gyro on a serial terminal (or TCP); the first line on stdout is its port."""
     from contextlib import suppress
 
-    from station.fibre_gyro.served import serve_gyro
+    from station.fibre_gyro.bench import serve_gyro
     from station.fibre_gyro.settings import load_fog_settings
     from station.fibre_gyro.sniff import read_frame_format
 

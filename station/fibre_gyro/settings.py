@@ -112,6 +112,7 @@ class FogSimulationSettings(SettingsSection):
     model: Literal["auto", "output", "transit"]
     seed: Annotated[int, Field(ge=0)]
     output_rate_hz: Positive
+    output_filter_hz: NotNegative
     angle_random_walk: NotNegative
     bias_dph: Finite
     two_pi_error: Annotated[float, Field(ge=-0.1, le=0.1)]

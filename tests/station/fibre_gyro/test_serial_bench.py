@@ -13,11 +13,10 @@ import pytest
 
 from instrument.fibre_gyro import FibreGyroLink, Recording, parse_frame_format
 from instrument.simulated.fibre_gyro import GyroFault, GyroFaults, TcpGyroServer
-from station.fibre_gyro import eps, figures, selfcal, sensitivity, table, temperature, threshold
-from station.fibre_gyro.bench import SerialFogBench
+from station.fibre_gyro import eps, figures, response, selfcal, sensitivity, table, temperature, threshold
+from station.fibre_gyro.bench import SerialFogBench, ServedGyro
 from station.fibre_gyro.segments import PlannedSegment
 from station.fibre_gyro.selfcal import numbers_for
-from station.fibre_gyro.served import ServedGyro
 from station.fibre_gyro.sniff import read_frame_format
 from station.settings import shipped_settings
 from station.shell.finish import Evaluated
@@ -105,6 +104,17 @@ def test_a_table_run_over_the_link(served, fog_settings, result_of) -> None:
     assert result.document()["left_out"] == []
     assert bench.asked == ["Bring axis Z of the gyro to the table's axis, up.\nPress Enter when done: "]
     assert bench.gyro.rate_dps == 0.0
+
+
+def test_the_response_over_the_link_is_that_of_the_steps(served, fog_settings, result_of) -> None:
+    """Commands go out while it records; when they arrive nobody knows to an output."""
+    settings = fog_settings(gyro=GYRO, response={"half_period_s": 1.0, "periods": 5, "settle_s": 0.2})
+    bench = served(settings)
+    found = result_of("response", settings, bench, response.plan(settings)).document()
+    assert found["left_out"] == [] and found["delay_s"] is None
+    assert len([one for one in bench.server.commands if one[0] == "inject"]) == 12
+    assert abs(abs(found["gain"]) - 1) < 0.01 and found["bandwidth_hz"] > 10
+    assert bench.server.commands[-1] == ("inject", 0.0)
 
 
 def test_the_operator_is_asked_for_each_value_of_a_stimulus_and_for_each_position(

@@ -14,7 +14,7 @@ from instrument import Preamble, Waveform
 from instrument.simulated import SimulatedTDS2014, TcpServer, VirtualClock
 from instrument.simulated.fibre_gyro import TcpGyroServer
 from station.errors import NoUsableSignal, UsageError
-from station.fibre_gyro.served import ServedGyro
+from station.fibre_gyro.bench import ServedGyro
 from station.fibre_gyro.settings import FIBRE_GYRO
 from station.fibre_gyro.sniff import read_frame_format
 from station.fibre_gyro.witness import evaluate, modulator_voltage

@@ -10,7 +10,7 @@ import pytest
 from benchmarks.fibre_gyro.real_gyros import REAL_GYROS, raw_outputs
 from instrument import LinkError
 from station.cli import main
-from station.fibre_gyro.served import serve_gyro
+from station.fibre_gyro.bench import serve_gyro
 from station.fibre_gyro.settings import load_fog_settings
 from station.fibre_gyro.sniff import known_formats, read_frame_format, shipped_files, sniff_port
 

@@ -153,7 +153,7 @@ def step_response(words: ArrayLike, interval_s: float, steps: StepTrain) -> Filt
         raise ValueError(f"two steps of the input are needed, not {steps.at_s.size}")
     y = np.asarray(words, dtype=np.float64)
     ends = interval_s * np.arange(1.0, y.size + 1)
-    seen = _Seen(y, np.isfinite(y), np.asarray(ends, dtype=np.float64), interval_s, steps)
+    seen = _StepWords(y, np.isfinite(y), np.asarray(ends, dtype=np.float64), interval_s, steps)
     apart = float(np.diff(steps.at_s).min())
     lag = _half_risen(seen, apart)
     fits = []
@@ -189,7 +189,7 @@ def step_response(words: ArrayLike, interval_s: float, steps: StepTrain) -> Filt
     return _as_response(seen, *min(fits, key=lambda one: one[0])[1:])
 
 
-def _half_risen(seen: _Seen, apart: float) -> float:
+def _half_risen(seen: _StepWords, apart: float) -> float:
     """When the mean step is half done, s behind it."""
     since, steps = np.arange(0.0, apart, seen.h), seen.steps
     rows = [
@@ -204,7 +204,7 @@ def _half_risen(seen: _Seen, apart: float) -> float:
 
 
 @dataclass(frozen=True)
-class _Seen:
+class _StepWords:
     """Output words and the steps of the input."""
 
     y: Floats
@@ -290,7 +290,7 @@ class _Seen:
         return np.asarray(plain * np.outer(larger, larger))
 
 
-def _as_response(seen: _Seen, form: Form, at: Floats) -> FilterResponse:
+def _as_response(seen: _StepWords, form: Form, at: Floats) -> FilterResponse:
     residual, linear = seen.left(at, form)
     covariance, steps, h = seen.covariance(at, form), seen.steps, seen.h
     count = 1 + len(form.start(1.0))

@@ -56,7 +56,7 @@ class ResponseEvaluation:
     """What was found, and the transfer function: that of the filter, or as sines gave it."""
 
     found: FilterResponse
-    frequency_hz: Floats  # (m,)
+    at_hz: Floats  # (m,)
     transfer: Complexes  # (m,)
     measured_u: Floats  # (m,): of its parts; nan where it is that of the filter
     interval_s: float
@@ -107,7 +107,7 @@ def evaluate(run: SavedRun, settings: FogSettings, choices: Mapping[str, Any]) -
     except ValueError as error:
         raise NoUsableSignal(f"no step and no sine of the input is seen: {error}{reasons_of(left_out)}") from None
     sines.sort(key=lambda one: one.frequency_hz)
-    frequency, u = (np.array([getattr(one, name) for one in sines]) for name in ("frequency_hz", "ratio_u"))
+    frequency, u = (np.array(one) for one in zip(*((s.frequency_hz, s.ratio_u) for s in sines), strict=True))
     return ResponseEvaluation(
         found, frequency, np.array([one.ratio for one in sines]), u, interval, tuple(left_out)
     )
@@ -152,7 +152,7 @@ NUMBERS = (
     Quantity("command_jitter", "s", "found.jitter_s", doc="scatter of the times that commands took"),
 )  # fmt: skip
 POINTS = (
-    Quantity("frequency", "hz", "frequency_hz", label="frequency, Hz", form="{:.4g}"),
+    Quantity("response_frequency", "hz", "at_hz", label="frequency, Hz", form="{:.4g}"),
     Quantity("magnitude", of=lambda found: np.abs(found.transfer), label="magnitude", form="{:.4f}"),
     Quantity("phase", "deg", "phase_deg", label="phase, deg", form="{:.1f}"),
     Quantity("measured_u", doc="of its parts, where a sine measured it"),
@@ -199,8 +199,8 @@ def result(found: ResponseEvaluation, run: SavedRun, settings: FogSettings) -> R
         lines=tuple(lines),
         summary=[("", line) for line in lines],
         sentences=(
-            "The mean over each output is not in bandwidth and delay. As allan.output_filter_hz the bandwidth "
-            "holds for a low-pass of first order.",
+            "The mean over each output is not in bandwidth and delay; times are by the clock of the output.",
+            "As allan.output_filter_hz the bandwidth holds for a low-pass of first order.",
         ),
         to_watch=tuple(watched),
         flags=tuple(watched),
@@ -240,7 +240,7 @@ def _rise(found: ResponseEvaluation) -> str:
 
 
 def _transfer(found: ResponseEvaluation) -> str:
-    frequency, of = found.frequency_hz, found.found
+    frequency, of = found.at_hz, found.found
 
     def draw(figure: Figure) -> None:
         axes = figure.add_subplot()

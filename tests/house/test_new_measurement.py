@@ -105,7 +105,7 @@ def copy(tmp_path_factory: pytest.TempPathFactory) -> Path:
     )
     add(tree / "config/fibre_gyro.toml", "[simulation]\n", "[droop]\nrecord_s = 3.0\n\n", before=True)
     # the number: its field where it is computed, and its declaration
-    computed = tree / "analysis/fibre_gyro/two_pi_error.py"
+    computed = tree / "analysis/fibre_gyro/injection.py"
     text = computed.read_text(encoding="utf-8")
     end = text.index("\n\n\n", text.index("class TwoPiError"))
     computed.write_text(f"{text[:end]}\n\n{FIELD}{text[end:]}", encoding="utf-8")

@@ -126,7 +126,7 @@ def test_a_table_that_swings(tmp_path, monkeypatch, capsys) -> None:
     assert found["form"] == FORMS["first"] and found["flags"] == []
     assert abs(found["bandwidth_hz"] - corner) < 4 * found["bandwidth_u_hz"] < 0.5
     assert abs(found["delay_s"] - 0.004 - 1 / (2 * np.pi * corner)) < 4 * found["delay_u_s"] < 1e-3
-    assert [round(one["frequency_hz"], 3) for one in found["points"]] == [0.5, 2.0, 5.0, 10.0, 20.0, 35.0]
+    assert [round(one["response_frequency_hz"], 3) for one in found["points"]] == [0.5, 2.0, 5.0, 10.0, 20.0, 35.0]
     assert respond(capsys, *names[:3], code=4)["error"]["message"].count("four frequencies")
 
 

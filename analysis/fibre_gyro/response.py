@@ -29,7 +29,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import least_squares
 
-from analysis.arrays import Bools, Complexes, Floats
+from analysis.arrays import Bools, Complexes, Floats, Ints
 from analysis.fibre_gyro.scatter import NORMAL_95
 
 _STARTS = 14
@@ -38,6 +38,7 @@ _OFF, _OFF_AT_LEAST = 5.0, 0.05  # standard deviations and share of the power by
 _FINE = 0.02  # of the smallest time constant that is tried, in the interval of the words
 _WIDEST = 0.25  # of the time between two steps, that a form may take
 _DECAYED = 40.0  # time constants
+_UNTOLD = 1e-13
 _TRIES = 3  # beginnings of a fit
 _UNSEEN, _SCAN = 4.0, 25  # square of the standard deviations by which a low-pass is not seen; times that are tried
 _SETTLED = 0.25  # of the words behind steps, where the output should be at rest
@@ -222,42 +223,54 @@ class _StepWords:
         """Constant and drift."""
         return np.column_stack([np.ones(self.ends.size), (self.ends - self.ends.mean()) / self.ends[-1]])
 
-    def shape(self, at: Floats, form: Form) -> tuple[Floats, Floats]:
-        """Output of all steps for a gain of 1, and how it goes with the delay of each."""
+    def windows(self, at: Floats, form: Form) -> tuple[Ints, Floats, Floats]:
+        """Words behind each step until it is over, their ends since the step (n of steps, m), and parameters."""
         number = len(form.start(1.0))
         filter_of, own = at[1 : 1 + number], at[1 + number :]
-        steps, total, size = self.steps, np.zeros(self.ends.size + 1), self.ends.size
-        slopes = np.zeros((size, steps.at_s.size if own.size else 1))
-        near, rests = 1e-4 * self.h, form.rests_s(filter_of) + 2 * self.h
-        for place, (when, by) in enumerate(zip(steps.at_s, steps.height, strict=True)):
-            begun = when + at[0] + (own[place] if own.size else 0.0)
-            first, last = (int(one) for one in np.searchsorted(self.ends, [begun - near, begun + rests]))
-            since = self.ends[first:last] - begun
+        begun = self.steps.at_s + at[0] + (own if own.size else 0.0)
+        count = min(int(form.rests_s(filter_of) / self.h) + 4, self.ends.size + 1)
+        words = np.floor(begun / self.h).astype(np.int64)[:, np.newaxis] + np.arange(count)
+        return words, (words + 1) * self.h - begun[:, np.newaxis], filter_of
 
-            def mean(t: Floats) -> Floats:
-                area = [form.integral(np.maximum(one, 0.0), filter_of) for one in (t, t - self.h)]
-                return np.asarray((area[0] - area[1]) / self.h)
+    def means(self, form: Form, since: Floats, filter_of: Floats) -> Floats:
+        """Of the words that end then, for a step of 1 at 0."""
+        area, before = (form.integral(np.maximum(one, 0.0), filter_of) for one in (since, since - self.h))
+        return np.asarray((area - before) / self.h)
 
-            # total: what is added from each word on
-            total[first : last + 1] += by * np.diff(mean(since), prepend=0.0, append=1.0)
-            slope = by * (mean(since - near) - mean(since + near)) / (2 * near)
-            slopes[first:last, place if own.size else 0] += slope
-        return np.cumsum(total[:size]), slopes
+    def shape(self, at: Floats, form: Form) -> Floats:
+        """Output of all steps for a gain of 1."""
+        words, since, filter_of = self.windows(at, form)
+        added = np.diff(self.means(form, since, filter_of), prepend=0.0, append=1.0)
+        place = np.clip(np.column_stack([words, words[:, -1] + 1]), 0, self.ends.size)
+        added *= self.steps.height[:, np.newaxis]
+        return np.cumsum(np.bincount(place.ravel(), added.ravel(), self.ends.size + 1)[:-1])
+
+    def of_delays(self, at: Floats, form: Form) -> Floats:
+        """How the shape goes with the delay of each step, (n, steps)."""
+        words, since, filter_of = self.windows(at, form)
+        near = 1e-4 * self.h
+        slope = self.means(form, since - near, filter_of) - self.means(form, since + near, filter_of)
+        slope *= self.steps.height[:, np.newaxis] / (2 * near)
+        found = np.zeros((self.ends.size + 1, len(words)))
+        found[np.where(words < 0, self.ends.size, np.minimum(words, self.ends.size)).T, np.arange(len(words))] = (
+            slope.T
+        )
+        return found[:-1]
 
     def left(self, at: Floats, form: Form) -> tuple[Floats, Floats]:
         """What the best constant, drift and gain leave; and those."""
-        design = np.column_stack([self.others, self.shape(at, form)[0]])[self.there]
+        design = np.column_stack([self.others, self.shape(at, form)])[self.there]
         linear = np.asarray(np.linalg.lstsq(design, self.y[self.there], rcond=None)[0], dtype=np.float64)
         return np.asarray(self.y[self.there] - design @ linear), linear
 
     def slopes(self, at: Floats, form: Form, gain: float) -> Floats:
         """How the output goes with each parameter."""
-        number, (_, of_delays) = len(form.start(1.0)), self.shape(at, form)
+        number, of_delays = len(form.start(1.0)), self.of_delays(at, form)
         columns = [of_delays.sum(axis=1)]
         for place in range(1, 1 + number):
             step = np.zeros(at.size)
             step[place] = 1e-4
-            columns.append((self.shape(at + step, form)[0] - self.shape(at - step, form)[0]) / 2e-4)
+            columns.append((self.shape(at + step, form) - self.shape(at - step, form)) / 2e-4)
         own = [of_delays] if at.size > 1 + number else []
         return gain * np.column_stack([*columns, *own])[self.there]
 
@@ -267,7 +280,7 @@ class _StepWords:
 
     def jacobian(self, form: Form, at: Floats) -> Floats:
         """Its derivatives, constant, drift and gain always being the best (Kaufman)."""
-        shape, (_, linear) = self.shape(at, form)[0], self.left(at, form)
+        shape, (_, linear) = self.shape(at, form), self.left(at, form)
         basis = np.linalg.qr(np.column_stack([self.others, shape])[self.there])[0]
         slopes = self.slopes(at, form, float(linear[2]))
         return np.asarray(basis @ (basis.T @ slopes) - slopes) / self.scale
@@ -275,9 +288,9 @@ class _StepWords:
     def covariance(self, at: Floats, form: Form) -> Floats:
         """Of the parameters and, last, constant, drift and gain; errors of neighbours may go together."""
         residual, linear = self.left(at, form)
-        others = np.column_stack([self.others, self.shape(at, form)[0]])[self.there]
+        others = np.column_stack([self.others, self.shape(at, form)])[self.there]
         design = np.column_stack([self.slopes(at, form, float(linear[2])), others])
-        inner = np.linalg.pinv(design.T @ design)
+        inner = _inverse(design)
         scores = design * residual[:, np.newaxis]
         middle = scores.T @ scores
         for lag in range(1, min(_LAGS, residual.size // 10)):
@@ -333,7 +346,7 @@ def _with_u(of: Callable[[Floats], float], at: Floats, covariance: Floats) -> tu
     """A function of parameters and its standard uncertainty."""
     moves = 1e-5 * np.maximum(np.abs(at), 1e-4)
     slope = np.array([of(at + one) - of(at - one) for one in np.diag(moves)]) / (2 * moves)
-    return of(at), float(np.sqrt(slope @ covariance[: at.size, : at.size] @ slope))
+    return of(at), float(np.sqrt(max(float(slope @ covariance[: at.size, : at.size] @ slope), 0.0)))
 
 
 # --------------------
@@ -424,4 +437,10 @@ def sine_response(points: Sequence[SinePoint]) -> FilterResponse:
 
 def _inverse(jacobian: Any) -> Floats:
     """Covariance of parameters by the derivatives of what is left, in its standard deviations."""
-    return np.asarray(np.linalg.pinv(jacobian.T @ jacobian), dtype=np.float64)
+    # what the data do not tell has next to no end, and not none
+    rows = np.asarray(jacobian, dtype=np.float64)
+    size = np.linalg.norm(rows, axis=0)
+    size[size == 0] = 1.0
+    squares, directions = np.linalg.eigh((rows / size).T @ (rows / size))
+    inverse = directions / np.maximum(squares, _UNTOLD) @ directions.T
+    return np.asarray(inverse / np.outer(size, size), dtype=np.float64)

@@ -161,6 +161,7 @@ def fit_noise(
         sinusoids, seen = [], _with_gaps_filled(values, interval_s, corner)
         models = seen.likely_models()
         bands = seen.misfit(next(iter(models)))[1]
+    values = smooth if sinusoids else values
     if bands:
         # not for every record: beside 1/f noise and a walk a Markov process is always nearly as likely
         wider = seen.likely_models(with_correlated=True)
@@ -183,7 +184,7 @@ def fit_noise(
             Sinusoid(one.frequency_hz / interval_s, spread * one.amplitude, spread * one.amplitude_u)
             for one in sorted(sinusoids, key=lambda one: one.frequency_hz)
         ),
-        tuple(one / interval_s for one in left),
+        tuple(one / interval_s for one in (lines if left else [])),
         tuple((low / interval_s, high / interval_s, power) for low, high, power in bands),
         loudest_part(np.diff(values), _INDEPENDENT),
         loudest_part(seen.whitened(next(iter(models))), 1.0),

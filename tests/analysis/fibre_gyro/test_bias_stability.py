@@ -4,7 +4,14 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from analysis.fibre_gyro import allan_variance, averaged_periodogram, deviation_of_means, fit_noise, noise_spectrum
+from analysis.fibre_gyro import (
+    allan_variance,
+    averaged_periodogram,
+    deviation_of_means,
+    fit_noise,
+    noise_spectrum,
+    window_covariance,
+)
 
 RATE, TAU, COUNT = 10.0, 10.0, 360
 
@@ -88,4 +95,7 @@ def test_the_spectrum_and_the_allan_variance_of_correlated_noise_are_those_of_a_
     assert np.all(abs(level / noise_spectrum(terms, at, 0.5) - 1)[seen] < 5 * (u / level)[seen])
     for tau in (0.5, 4.0, 16.0, 64.0):
         means = words[: words.size // int(2 * tau) * int(2 * tau)].reshape(-1, int(2 * tau)).mean(axis=1)
-        assert 0.5 * np.mean(np.diff(means) ** 2) == pytest.approx(float(allan_variance(terms, tau)), rel=0.04)
+        apart = np.mean(np.diff(means) ** 2)
+        assert 0.5 * apart == pytest.approx(float(allan_variance(terms, tau)), rel=0.04)
+        both = window_covariance(terms, [0.0, tau], [tau, 2 * tau])
+        assert apart == pytest.approx(both[0, 0] + both[1, 1] - 2 * both[0, 1], rel=0.04)

@@ -39,6 +39,10 @@ _FINE = 0.02  # of the smallest time constant that is tried, in the interval of 
 _WIDEST = 0.25  # of the time between two steps, that a form may take
 _DECAYED = 40.0  # time constants
 _UNTOLD = 1e-13
+_ROUNDED, _FOLLOWS = 1e-9, 6.0  # part of a step that is rounding; u of the gain that an output that follows has
+_ODD, _ODD_U = 0.02, 8.0  # part of a step by which the output may go another way, and in u
+_FEWEST_BETWEEN = 8  # outputs
+_MOST_STEPS, _MOST_LATE, _MOST_WORDS = 400, 24, 60_000  # steps, those with a delay of their own, and words
 _TRIES = 3  # beginnings of a fit
 _UNSEEN, _SCAN = 4.0, 25  # square of the standard deviations by which a low-pass is not seen; times that are tried
 _SETTLED = 0.25  # of the words behind steps, where the output should be at rest
@@ -126,6 +130,7 @@ class FilterResponse:
     jitter_s: float  # standard deviation of the times that commands took; nan where those of the steps are known
     misfit: float  # power of what the form leaves behind the steps over that elsewhere; nan where it fits
     settled: bool  # whether the output comes to rest between the steps
+    odd_step_s: float  # when the first step was that the output did not follow; nan where it followed all
     since_s: Floats  # (m,): time of words since their step, and where between 0 and 1 they are
     risen: Floats
 
@@ -143,16 +148,23 @@ def step_response(words: ArrayLike, interval_s: float, steps: StepTrain) -> Filt
         Output; nan where a word is missing.
     interval_s : float
     steps : StepTrain
-        Several, each long after the one before.
+        Several, each long after the one before. Of very many the first ones are used.
 
     Raises
     ------
     ValueError
-        The output does not follow the steps, or there are fewer than two.
+        The output does not follow the steps, there are fewer than two, or they follow one another too fast.
     """
     if steps.at_s.size < 2:
         raise ValueError(f"two steps of the input are needed, not {steps.at_s.size}")
-    y = np.asarray(words, dtype=np.float64)
+    if float(np.diff(steps.at_s).min()) < _FEWEST_BETWEEN * interval_s:
+        raise ValueError(f"between two steps of the input there are not {_FEWEST_BETWEEN} outputs")
+    number = min(steps.at_s.size, _MOST_STEPS if steps.exact else _MOST_LATE)
+    end = float(steps.at_s[number]) if number < steps.at_s.size else np.inf
+    end = min(end, _MOST_WORDS * interval_s)
+    y = np.asarray(words, dtype=np.float64)[: int(min(end / interval_s, 1e15))]
+    inside = steps.at_s < y.size * interval_s
+    steps = StepTrain(steps.at_s[inside], steps.height[inside], steps.exact)
     ends = interval_s * np.arange(1.0, y.size + 1)
     seen = _StepWords(y, np.isfinite(y), np.asarray(ends, dtype=np.float64), interval_s, steps)
     apart = float(np.diff(steps.at_s).min())
@@ -246,15 +258,17 @@ class _StepWords:
         return np.cumsum(np.bincount(place.ravel(), added.ravel(), self.ends.size + 1)[:-1])
 
     def of_delays(self, at: Floats, form: Form) -> Floats:
-        """How the shape goes with the delay of each step, (n, steps)."""
+        """How the shape goes with the delay of each step, (n, steps), or of all together, (n, 1)."""
         words, since, filter_of = self.windows(at, form)
         near = 1e-4 * self.h
         slope = self.means(form, since - near, filter_of) - self.means(form, since + near, filter_of)
         slope *= self.steps.height[:, np.newaxis] / (2 * near)
+        place = np.where(words < 0, self.ends.size, np.minimum(words, self.ends.size))
+        if self.steps.exact:
+            together = np.bincount(place.ravel(), slope.ravel(), self.ends.size + 1)[:-1]
+            return np.asarray(together[:, np.newaxis], dtype=np.float64)
         found = np.zeros((self.ends.size + 1, len(words)))
-        found[np.where(words < 0, self.ends.size, np.minimum(words, self.ends.size)).T, np.arange(len(words))] = (
-            slope.T
-        )
+        found[place.T, np.arange(len(words))] = slope.T
         return found[:-1]
 
     def left(self, at: Floats, form: Form) -> tuple[Floats, Floats]:
@@ -271,7 +285,7 @@ class _StepWords:
             step = np.zeros(at.size)
             step[place] = 1e-4
             columns.append((self.shape(at + step, form) - self.shape(at - step, form)) / 2e-4)
-        own = [of_delays] if at.size > 1 + number else []
+        own = [of_delays] if at.size > 1 + number else []  # none where the times are exact
         return gain * np.column_stack([*columns, *own])[self.there]
 
     def left_over(self, form: Form, at: Floats) -> Floats:
@@ -331,14 +345,28 @@ def _as_response(seen: _StepWords, form: Form, at: Floats) -> FilterResponse:
     power = float("nan")
     settled = usual.size > _SETTLED * residual[behind].size
     if settled:
-        power = float(np.mean(of_shape**2)) / max(float(np.mean(usual**2)), 1e-300)
+        least = (_ROUNDED * linear[2] * float(np.abs(steps.height).max())) ** 2
+        power = float(np.mean(of_shape**2)) / (float(np.mean(usual**2)) + least)
         if power - 1 < max(_OFF * np.sqrt(2 / of_shape.size + 2 / usual.size), _OFF_AT_LEAST):
             power = float("nan")
+    gain, gain_u = float(linear[2]), float(np.sqrt(covariance[-1, -1]))
+    if not abs(gain) > _FOLLOWS * gain_u:
+        raise ValueError("the output does not follow the steps of the input: its noise is as large, or none came")
+    # where the output rests before and behind each step
+    off, size = np.full(steps.at_s.size + 1, np.nan), np.ones(steps.at_s.size + 1)
+    for place in range(-1, steps.at_s.size):
+        rests = residual[(last == place) & ((since > window) | (place < 0))] / gain
+        if rests.size > 3:
+            off[place + 1], size[place + 1] = np.median(rests), np.std(rests) / np.sqrt(rests.size)
+    jumps = np.abs(np.diff(off)) / np.abs(steps.height)
+    usual_jump = float(np.nanmedian(jumps)) if np.isfinite(jumps).any() else 0.0
+    odd = np.flatnonzero(jumps > np.maximum(_ODD, _ODD_U * (np.hypot(size[1:], size[:-1]) + usual_jump)))
     nothing = float("nan"), float("nan")
     return FilterResponse(
-        form, at[1:count], float(linear[2]), float(np.sqrt(covariance[-1, -1])), bandwidth, bandwidth_u,
+        form, at[1:count], gain, gain_u, bandwidth, bandwidth_u,
         *((delay, delay_u) if steps.exact else nothing), float(np.std(own, ddof=1)) if own.size else nothing[0],
-        power, bool(settled), since[shown], ((level - before) / steps.height[last])[shown],
+        power, bool(settled), float(steps.at_s[odd[0]]) if odd.size else nothing[0], since[shown],
+        ((level - before) / steps.height[last])[shown],
     )  # fmt: skip
 
 
@@ -431,7 +459,7 @@ def sine_response(points: Sequence[SinePoint]) -> FilterResponse:
         form, best.x[2:], *_with_u(lambda p: float(p[0]), best.x, covariance), bandwidth, bandwidth_u,
         *_with_u(lambda p: float(p[1]) + form.delay_s(p[2:]), best.x, covariance), float("nan"),
         chi_square if freedom > 0 and chi_square > 1 + NORMAL_95 * 2 * np.sqrt(2 / freedom) + 1 else float("nan"),
-        True, nothing, nothing,
+        True, float("nan"), nothing, nothing,
     )  # fmt: skip
 
 

@@ -91,7 +91,7 @@ class GyroLog:
         if self.unit != COUNTS:
             if counts_per_dps is None:
                 raise FileFormatError(f"the output is in {self.unit}: say how many counts 1 deg/s is")
-            scale = counts_per_unit(self.unit, self.rest.interval_s, counts_per_dps)
+            scale = counts_per_unit(self.unit, self.rest.interval_s / self.each, counts_per_dps)  # of a row
         scaled = {name: scale * values if scale != 1.0 else values for name, values in self.outputs.items()}
         if len(scaled) == 1:
             return replace(self.rest, counts=next(iter(scaled.values())))

@@ -35,6 +35,7 @@ if TYPE_CHECKING:
 
 PURPOSE = "response"
 INJECTED = "injected"  # column of a log: step in codes while each output was made
+_USUAL_GAIN = 0.95, 1.05
 _POINTS = 13  # of the transfer function that is given
 
 
@@ -184,8 +185,16 @@ def result(found: ResponseEvaluation, run: SavedRun, settings: FogSettings) -> R
         )
     if not of.settled:
         watched.append("The output does not come to rest between the steps: use a longer response.half_period_s.")
-    if abs(of.gain) < 0.5 or abs(of.gain) > 2:
-        watched.append(f"The output goes {of.gain:.3g} times as far as the input: is the unit right?")
+    if math.isfinite(of.odd_step_s):
+        watched.append(
+            f"The step {of.odd_step_s:.6g} s after the begin is not in the output as the others are: it did not "
+            "come, or the gyro turned or saturated. Take it again."
+        )
+    if not _USUAL_GAIN[0] < abs(of.gain) < _USUAL_GAIN[1]:
+        watched.append(
+            f"The output goes {abs(of.gain):.4g} times as far as the input says: another unit, a step that does "
+            "not come whole, or saturation."
+        )
     return Result(
         name="result",
         value=f"Bandwidth {bandwidth}" if found.seen else f"Bandwidth above {of.bandwidth_hz:.3g} Hz",

@@ -73,6 +73,13 @@ def test_missing_rows_move_neither_the_clock_nor_the_noise(tmp_path: Path, stamp
     assert abs(white - 0.1 / HERTZ**0.5) < 3 * fit.coefficients_u["angle_random_walk"]
 
 
+def test_an_angle_of_each_row_is_one_of_a_row(tmp_path: Path) -> None:
+    rows = [f"{place / HERTZ:.3f},{0.02 / HERTZ!r}" for place in range(50_000)]
+    log = read_log(written(tmp_path / "log.csv", "time,dtheta [deg]", rows))
+    assert log.each > 1
+    assert np.allclose(log.recording(counts_per_dps=1000.0).counts, 20.0)
+
+
 def test_a_clock_over_midnight_goes_on(tmp_path: Path) -> None:
     seconds = 86_390.0 + np.arange(40_000) / HERTZ
     clock = [f"{int(at // 3600) % 24:02d}:{int(at // 60) % 60:02d}:{at % 60:06.3f}" for at in seconds]

@@ -69,6 +69,18 @@ def test_another_filter_and_steps_too_fast_are_told() -> None:
     assert not step_response(slow, 0.01, train).settled
 
 
+def test_a_step_that_did_not_come_is_told_and_noise_is_no_response() -> None:
+    words, train = steps("first", 20.0, 0.0, seed=6)
+    assert np.isnan(step_response(words, 0.01, train).odd_step_s)
+    first, last = (int(at / 0.01) for at in train.at_s[7:9])
+    words[first:last] = words[first - 20 : first].mean()
+    assert step_response(words, 0.01, train).odd_step_s == train.at_s[7]
+    with pytest.raises(ValueError, match="does not follow"):
+        step_response(np.random.default_rng(1).normal(size=words.size), 0.01, train)
+    with pytest.raises(ValueError, match="there are not 8 outputs"):
+        step_response(words, 0.01, StepTrain(train.at_s / 20, train.height, exact=True))
+
+
 def with_interval(form: str, corner: float) -> tuple[np.ndarray, float, StepTrain]:
     words, train = steps(form, corner, 0.0, seed=5)
     return words, 0.01, train

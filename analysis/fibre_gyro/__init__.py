@@ -24,7 +24,6 @@ from analysis.fibre_gyro.injection import (
     estimate_two_pi_error,
     fit_slope,
     largest_step,
-    net_outputs,
     predicted_difference_ppm,
     predicted_self_scale,
     predicted_table_scale,

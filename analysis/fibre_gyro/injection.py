@@ -109,15 +109,6 @@ class NetOutputs:
     drift_u: float
 
 
-def net_outputs(
-    mean: ArrayLike, mean_u: ArrayLike, before: tuple[float, float], after: tuple[float, float]
-) -> NetOutputs:
-    """Subtract the static output."""
-    static, u = (before[0] + after[0]) / 2, float(np.hypot(before[1], after[1]))
-    means = np.asarray(mean, dtype=np.float64)
-    return NetOutputs(means - static, np.asarray(mean_u, dtype=np.float64), static, u / 2, after[0] - before[0], u)
-
-
 @dataclass(frozen=True)
 class SlopeFit:
     """Straight line through outputs against rates."""

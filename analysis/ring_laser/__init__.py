@@ -9,7 +9,6 @@ from analysis.ring_laser.detector import (
     signal_above,
     signal_bounds,
     smooth_interval,
-    with_detector_noise,
 )
 from analysis.ring_laser.gyro import Gyro, axis_rate_on_table, beat_phase_on_table
 from analysis.ring_laser.two_mode_laser import SteadyBeat, TwoModeLaser, Winking, steady_beat, symmetric_laser

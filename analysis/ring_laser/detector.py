@@ -408,13 +408,6 @@ def _words(*numbers: int) -> NDArray[np.uint32]:
     return np.array(words, dtype=np.uint32)
 
 
-def with_detector_noise(
-    signal: Callable[[Floats], Floats], rms: float, seed: int, stream: int = 0
-) -> Callable[[Floats], Floats]:
-    """Add white noise to a signal, the same for the same seed and the same sample times."""
-    return NoisySignal(signal, rms, seed, stream) if rms else signal
-
-
 # --------------------
 # The mean of many stretches of a beat, as an oscilloscope averages: without working out each of them.
 #

@@ -6,7 +6,6 @@ import pytest
 from analysis.fibre_gyro import (
     compare_scale,
     fit_slope,
-    net_outputs,
     odd_even_parts,
     predicted_difference_ppm,
     predicted_self_scale,
@@ -90,25 +89,15 @@ def test_numbers_scatter_as_their_uncertainty_says(white: float, irreproducible:
     assert np.std(found, axis=0) == pytest.approx(plan.number_u, rel=0.08)
 
 
-def test_the_static_output_before_and_after_is_taken_off() -> None:
-    net = net_outputs([110.0, 90.0], [0.1, 0.1], (9.0, 0.3), (11.0, 0.4))
-    assert net.output.tolist() == [100.0, 80.0]
-    assert (net.static, net.static_u) == (10.0, pytest.approx(0.25))
-    assert (net.drift, net.drift_u) == (2.0, pytest.approx(0.5))
-
-
 def test_steps_beyond_the_converter_are_found() -> None:
     # 16 bits: half the range is a phase of pi, 133.1 deg/s for a coil of 1000 m and 0.1 m
     assert steps_beyond_dac(K * np.array([133.0, 133.2, -133.2]), 16).tolist() == [False, True, True]
 
 
-def test_intercept_and_static_mean_are_kept_apart() -> None:
-    """A dead zone that eats the same step in both senses moves neither; an offset of the steps moves F_0 only."""
-    outputs = K * RATES + 0.5
-    net = net_outputs(outputs + 12.0, np.full(8, 0.01), (12.0, 0.01), (12.0, 0.01))
-    fit = fit_slope(RATES, net.output, net.output_u)
+def test_an_offset_of_the_steps_is_the_intercept() -> None:
+    """It does not move the slope."""
+    fit = fit_slope(RATES, K * RATES + 0.5, np.full(8, 0.01))
     assert fit.intercept == pytest.approx(0.5)
-    assert net.static == 12.0
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from analysis.lockin_equation import rate_varying_beat
-from analysis.ring_laser import Detector, Gyro, axis_rate_on_table, beat_signal_on_table, with_detector_noise
+from analysis.ring_laser import Detector, Gyro, NoisySignal, axis_rate_on_table, beat_signal_on_table
 from instrument.simulated.controllers import TableMotion
 
 GYRO = Gyro(
@@ -113,12 +113,11 @@ def test_detector_noise_is_the_same_for_the_same_samples_and_seed() -> None:
         return np.zeros_like(times)
 
     times = 5.0 + np.arange(20000) * 1e-4
-    noisy = with_detector_noise(silent, 0.01, seed=3)
+    noisy = NoisySignal(silent, 0.01, 3, 0)
     assert np.array_equal(noisy(times), noisy(times))
-    assert not np.array_equal(noisy(times), with_detector_noise(silent, 0.01, seed=4)(times))
+    assert not np.array_equal(noisy(times), NoisySignal(silent, 0.01, 4, 0)(times))
     assert not np.array_equal(noisy(times), noisy(times + 1e-4))
     assert np.array_equal(noisy(times + 2e-9), noisy(times + 1e-8))
-    assert not np.array_equal(noisy(times), with_detector_noise(silent, 0.01, seed=3, stream=1)(times))
+    assert not np.array_equal(noisy(times), NoisySignal(silent, 0.01, 3, 1)(times))
     assert noisy(times).std() == pytest.approx(0.01, rel=0.03)
-    assert with_detector_noise(silent, 0.0, seed=1) is silent
     assert noisy(np.empty(0)).size == 0

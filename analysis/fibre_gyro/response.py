@@ -440,7 +440,11 @@ def sine_response(points: Sequence[SinePoint]) -> FilterResponse:
     fits = []
     for form in FORMS:
         delays = np.geomspace(1e-3, 3.0, _STARTS) / f.max() if form.start(1.0) else [0.0]
-        starts = [np.array([abs(ratio[0]), -slope - form.delay_s(p), *p]) for p in map(form.start, delays)]
+        starts = [
+            np.array([sense * abs(ratio[0]), -slope - form.delay_s(p), *p])
+            for p in map(form.start, delays)
+            for sense in (1.0, -1.0)
+        ]
         start = min(starts, key=lambda p: float(np.sum(off(p, form) ** 2)))
         found = least_squares(off, start, args=(form,), x_scale=np.maximum(np.abs(start), 1e-6))
         fits.append((2 * found.cost + np.log(2 * f.size) * start.size, form, found))

@@ -87,7 +87,12 @@ class ResponseEvaluation:
 def evaluate(run: SavedRun, settings: FogSettings, choices: Mapping[str, Any]) -> ResponseEvaluation:
     """Find the filter by the steps of the first segment that has some, else by all sines."""
     left_out, sines, interval = not_taken(run), list[SinePoint](), math.nan
-    for segment in segments_of(run, PURPOSE):
+    every, axis = segments_of(run, PURPOSE), _own(settings).axis
+    segments = [one for one in every if one.conditions.get("axis", axis) == axis]
+    if every and not segments:
+        axes = ", ".join(dict.fromkeys(str(one.conditions["axis"]) for one in every))
+        raise NoUsableSignal(f"there is output of {axes}, none of the axis {axis}: name it as response.axis")
+    for segment in segments:
         try:
             interval = checked(segment).interval_s
             if TABLE_ANGLE in segment.recording.extra and INJECTED not in segment.recording.extra:
@@ -166,7 +171,7 @@ def result(found: ResponseEvaluation, run: SavedRun, settings: FogSettings) -> R
     of, watched = found.found, [f"{one.sentence}." for one in found.left_out]
     bandwidth = with_uncertainty(of.bandwidth_hz, of.bandwidth_u_hz, "Hz") if found.seen else ""
     lines = [
-        f"{found.form}; gain {with_uncertainty(of.gain, of.gain_u)} of that by design."
+        f"{found.form.capitalize()}; gain {with_uncertainty(of.gain, of.gain_u)} of that by design."
         if found.seen
         else f"No filter is seen beside the mean over each output ({found.interval_s:.4g} s)."
     ]

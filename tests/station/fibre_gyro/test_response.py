@@ -123,7 +123,8 @@ def test_a_log_with_the_injected_step_beside_the_output(tmp_path, monkeypatch, c
     assert found["points"][0]["magnitude"] > 0.99
 
 
-def test_a_table_that_swings(tmp_path, monkeypatch, capsys) -> None:
+@pytest.mark.parametrize("sense", [1, -1])
+def test_a_table_that_swings(tmp_path, monkeypatch, capsys, sense: int) -> None:
     """Sines of six frequencies; the delay of 4 ms and that of the filter add up."""
     monkeypatch.chdir(tmp_path)
     rng, names, h, corner = np.random.default_rng(8), [], 0.005, 12.0
@@ -132,10 +133,11 @@ def test_a_table_that_swings(tmp_path, monkeypatch, capsys) -> None:
         angle = 3.0 / (2 * np.pi * f) * np.sin(2 * np.pi * f * ends)  # of a rate of 3 deg/s
         passed = np.exp(-2j * np.pi * f * 0.004) / (1 + 1j * f / corner)
         turned = (3.0 / (2 * np.pi * f) * passed * np.exp(2j * np.pi * f * np.concatenate([[0.0], ends]))).imag
-        words = K * np.diff(turned) / h + rng.normal(0, 1.0, ends.size)
+        words = sense * K * np.diff(turned) / h + rng.normal(0, 1.0, ends.size)
         names.append(write(tmp_path / f"{number}.csv", "time,counts,table_deg", ends, words, angle + 90.0))
     found = respond(capsys, *names)
     assert found["form"] == FORMS["first"] and found["flags"] == []
+    assert found["gain"] == pytest.approx(sense, abs=0.01)
     assert abs(found["bandwidth_hz"] - corner) < 4 * found["bandwidth_u_hz"] < 0.5
     assert abs(found["delay_s"] - 0.004 - 1 / (2 * np.pi * corner)) < 4 * found["delay_u_s"] < 1e-3
     assert [round(one["response_frequency_hz"], 3) for one in found["points"]] == [0.5, 2.0, 5.0, 10.0, 20.0, 35.0]
@@ -150,6 +152,22 @@ def test_the_simulated_gyro_with_a_filter_and_a_limit(tmp_path, monkeypatch, cap
     assert abs(found["bandwidth_hz"] - 3.0) < 2e-3
     assert abs(found["delay_s"] - 1 / (2 * np.pi * 3.0)) < 2e-4
     assert abs(found["gain"] - 1) < 1e-4
+
+
+def test_of_a_log_of_three_axes_the_one_that_is_named_is_used(tmp_path, monkeypatch, capsys) -> None:
+    monkeypatch.chdir(tmp_path)
+    words, train = steps("first", 10.0, 0.0, seed=4, half_s=0.5)
+    at = np.arange(words.size) * 0.01
+    injected = -1000.0 + sum(
+        by * 1000 * (at >= when - 1e-9) for when, by in zip(train.at_s, train.height, strict=True)
+    )
+    noise = np.random.default_rng(1).normal(size=(2, words.size))
+    columns = (at, noise[0], noise[1], 1000 * words, injected)
+    log = write(tmp_path / "steps.csv", "time,counts_x,counts_y,counts_z,injected", *columns)
+    assert respond(capsys, log)["form"] == FORMS["first"]
+    own = tmp_path / "own.toml"
+    own.write_text('[response]\naxis = "A"\n')
+    assert "none of the axis A" in respond(capsys, log, "--config", own, code=4)["error"]["message"]
 
 
 def test_no_filter_is_a_lower_bound(tmp_path, monkeypatch, capsys) -> None:

@@ -75,11 +75,6 @@ class TwoModeLaser:
         """beta of equation (2), rad."""
         return float(np.angle(self.coupling))
 
-    @property
-    def differential_rate(self) -> float:
-        """Relaxation rate of the difference of the intensities, rad/s."""
-        return self.gain_rate * (1 - self.cross_saturation) / (1 + self.cross_saturation)
-
 
 def symmetric_laser(
     lock_in_rate: float,

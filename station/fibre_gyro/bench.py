@@ -13,7 +13,7 @@ from scipy.signal import lfilter
 from analysis.fibre_gyro import ClosedLoop, LoopDesign, OutputBlock, OutputModel
 from analysis.rotation import EARTH_RATE_DPS
 from instrument import InstrumentError, ManualRateTable, RateTable
-from instrument.fibre_gyro import FibreGyroLink, FrameFormat, Losses, Recording, counts_per_unit
+from instrument.fibre_gyro import TABLE_ANGLE, FibreGyroLink, FrameFormat, Losses, Recording, counts_per_unit
 from instrument.simulated.fibre_gyro import PtyGyroServer, TcpGyroServer
 from station.controllers import open_rate_table, open_surroundings
 from station.errors import UsageError
@@ -189,7 +189,7 @@ class SimulatedFogBench:
     """Gyro and rate table of the settings' [simulation]."""
 
     def __init__(self, settings: FogSettings) -> None:
-        self._settings = settings
+        self._settings, self._azimuth_deg = settings, np.empty(0)
 
     def refuses(self, planned: PlannedSegment) -> str:
         """The simulated bench can do everything that is planned."""
@@ -236,10 +236,12 @@ class SimulatedFogBench:
         # a filter is computed in parts of an output
         parts = _PARTS if simulation.output_filter_hz and not held else 1
         fine, number = period / parts, (count + 1) * parts
+        rates, azimuth = self._rates(planned, number, fine, rng)
+        self._azimuth_deg = np.rad2deg(azimuth[2 * parts :: parts])  # at the end of each output that is kept
         block = gyro.run(
             number,
             output_period_s=fine,
-            rate_dps=self._rates(planned, number, fine, rng),
+            rate_dps=rates,
             injected_step=self._injected(planned, number, fine, parts),
             closed=False if held else None,
         )
@@ -261,8 +263,10 @@ class SimulatedFogBench:
     def _random(self, key: str) -> np.random.Generator:
         return np.random.default_rng([self._settings.simulation.seed, zlib.crc32(key.encode())])
 
-    def _rates(self, planned: PlannedSegment, count: int, period: float, rng: np.random.Generator) -> Floats:
-        """Rate on the gyro's axis in each output period, deg/s, as the gyro's nonlinearity changes it."""
+    def _rates(
+        self, planned: PlannedSegment, count: int, period: float, rng: np.random.Generator
+    ) -> tuple[Floats, Floats]:
+        """Rate on the gyro's axis in each output period, deg/s, as the gyro sees it; the table's azimuth, rad."""
         simulation, conditions = self._settings.simulation, planned.conditions
         table = float(conditions["rate_dps"]) * (1 + rng.normal(0, simulation.table_irreproducibility_ppm) / _PPM)
         end = int(conditions.get("end_up", 1))
@@ -279,9 +283,8 @@ class SimulatedFogBench:
         warm, times = self._warm(planned, count, period), np.asarray(edges[:-1] + period / 2, dtype=np.float64)
         change = simulation.temperature_coefficient_ppm * warm + simulation.scale_curvature_ppm_per_k2 * warm**2
         change += simulation.scale_ppm_per_stimulus * float(conditions.get("stimulus", 0.0))
-        return as_the_gyro_sees(np.asarray(on_axis), self._settings) * (1 + change / _PPM) + self._bias(
-            planned, times, warm
-        )
+        seen = as_the_gyro_sees(np.asarray(on_axis), self._settings) * (1 + change / _PPM)
+        return seen + self._bias(planned, times, warm), azimuth
 
     def _warm(self, planned: PlannedSegment, count: int, period: float) -> Floats:
         """Kelvin above the reference temperature in each output period; 0 where nobody says."""
@@ -310,6 +313,8 @@ class SimulatedFogBench:
         if gyro.output_resolution:
             counts = gyro.output_resolution * np.round(counts / gyro.output_resolution)
         extra = {"normal_error": block.normal_error[1:], "reset_error": block.reset_error[1:]} if held else {}
+        if self._settings.simulation.table_encoder and planned.conditions["rate_dps"]:
+            extra[TABLE_ANGLE] = self._azimuth_deg % 360.0
         if "half_period_s" in planned.conditions:
             extra["injected"] = self._injected(planned, count + 1, block.interval_s)[1:]
         return Recording(

@@ -120,6 +120,7 @@ class FogSimulationSettings(SettingsSection):
     scale_change_ppm: Finite
     misalignment_mrad: Finite
     table_irreproducibility_ppm: NotNegative
+    table_encoder: bool
     switch_on_scatter_ppm: NotNegative
     temperature_coefficient_ppm: Finite
     asymmetry_ppm: Finite

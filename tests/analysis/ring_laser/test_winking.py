@@ -28,7 +28,7 @@ def integrated_fields(laser, rate, duration, n_samples):
         d2 = (0.5 * g * (1 - (i2 + xi * i1) / (1 + xi)) - 0.5j * sagnac) * e2 + a1 * np.conj(half) * e1
         return [d1.real, d1.imag, d2.real, d2.imag]
 
-    settle = 40 / laser.differential_rate
+    settle = 40 * (1 + xi) / (g * (1 - xi))  # the difference of the intensities relaxes more slowly than their sum
     times = np.linspace(settle, settle + duration, n_samples, endpoint=False)
     solved = solve_ivp(slope, (0, times[-1]), [1, 0, 1, 0], method="DOP853", t_eval=times, rtol=1e-10, atol=1e-12)
     return solved.y[0] + 1j * solved.y[1], solved.y[2] + 1j * solved.y[3]

@@ -121,3 +121,15 @@ def test_small_rates_need_no_whole_turn_though_the_angle_is_there(tmp_path: Path
     found = logs.evaluate("threshold", threshold={"table_axis": "east"})
     assert found["left_out"] == []
     assert [one["input_dps"] for one in found["points"]] == pytest.approx([0.1, -0.1, 0.2, -0.2])
+
+
+def test_on_the_simulated_bench_the_encoder_takes_out_what_the_table_is_off(taken) -> None:
+    """A table that is off by 100 ppm from run to run, without a word on its display."""
+    sections = {"table": {"axes": ["Z"], "turns": 2}}
+    truth: dict[str, object] = {"table_irreproducibility_ppm": 100.0, "misalignment_mrad": 0.0}
+    with_encoder, _ = taken("table", **sections, simulation={**truth, "table_encoder": True})
+    (axis,) = with_encoder.document()["axes"]
+    assert abs(axis["nominal_difference_ppm"]) < 4 * axis["scale_factor_u_ppm"] < 4
+    without, _ = taken("table", **sections, simulation=truth)
+    (axis,) = without.document()["axes"]
+    assert axis["scale_factor_u_ppm"] > 20

@@ -42,7 +42,7 @@ _UNTOLD = 1e-13
 _ROUNDED, _FOLLOWS = 1e-9, 6.0  # part of a step that is rounding; u of the gain that an output that follows has
 _ODD, _ODD_U = 0.02, 8.0  # part of a step by which the output may go another way, and in u
 _FEWEST_BETWEEN = 8  # outputs
-_MOST_STEPS, _MOST_LATE, _MOST_WORDS = 400, 24, 60_000  # steps, those with a delay of their own, and words
+_MOST_STEPS, _MOST_LATE, _MOST_WORDS = 400, 24, 20_000  # steps, those with a delay of their own, and words
 _TRIES = 3  # beginnings of a fit
 _UNSEEN, _SCAN = 4.0, 25  # square of the standard deviations by which a low-pass is not seen; times that are tried
 _SETTLED = 0.25  # of the words behind steps, where the output should be at rest
@@ -161,7 +161,9 @@ def step_response(words: ArrayLike, interval_s: float, steps: StepTrain) -> Filt
         raise ValueError(f"between two steps of the input there are not {_FEWEST_BETWEEN} outputs")
     number = min(steps.at_s.size, _MOST_STEPS if steps.exact else _MOST_LATE)
     end = float(steps.at_s[number]) if number < steps.at_s.size else np.inf
-    end = min(end, _MOST_WORDS * interval_s)
+    # however many words there are: those of two steps and what is behind them
+    least = steps.at_s[3] if steps.at_s.size > 3 else 2 * steps.at_s[-1] - steps.at_s[-2]
+    end = min(end, max(_MOST_WORDS * interval_s, float(least)))
     y = np.asarray(words, dtype=np.float64)[: int(min(end / interval_s, 1e15))]
     inside = steps.at_s < y.size * interval_s
     steps = StepTrain(steps.at_s[inside], steps.height[inside], steps.exact)

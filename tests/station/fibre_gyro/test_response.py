@@ -81,6 +81,13 @@ def test_a_step_that_did_not_come_is_told_and_noise_is_no_response() -> None:
         step_response(words, 0.01, StepTrain(train.at_s / 20, train.height, exact=True))
 
 
+def test_many_words_to_a_step_are_no_reason_to_lose_steps() -> None:
+    words, train = steps("first", 2.0, 0.0, seed=7, half_s=4.0, count=2, interval_s=0.0004)
+    found = step_response(words, 0.0004, train)
+    assert found.form.name == FORMS["first"]
+    assert abs(found.bandwidth_hz - 2.0) < 4 * found.bandwidth_u_hz + 2e-3 < 0.1
+
+
 def with_interval(form: str, corner: float) -> tuple[np.ndarray, float, StepTrain]:
     words, train = steps(form, corner, 0.0, seed=5)
     return words, 0.01, train

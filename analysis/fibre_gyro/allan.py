@@ -147,6 +147,7 @@ def fit_noise(
     lines, bands = seen.misfit(next(iter(models)))
     smooth, at, left = values, np.arange(values.size), lines
     sinusoids: list[Sinusoid] = []
+    with_lines = seen, models, bands
     for _ in range(_LINE_ROUNDS):
         if not left or len(sinusoids) + len(left) > _MOST_LINES:
             break
@@ -158,9 +159,7 @@ def fit_noise(
         left, bands = seen.misfit(next(iter(models)))
     if left:
         # their amplitudes or frequencies are not constant: nothing was taken out, and they are told
-        sinusoids, seen = [], _with_gaps_filled(values, interval_s, corner)
-        models = seen.likely_models()
-        bands = seen.misfit(next(iter(models)))[1]
+        sinusoids, (seen, models, bands) = [], with_lines
     values = smooth if sinusoids else values
     if bands:
         # not for every record: beside 1/f noise and a walk a Markov process is always nearly as likely

@@ -167,8 +167,8 @@ def step_response(words: ArrayLike, interval_s: float, steps: StepTrain) -> Filt
     y = np.asarray(words, dtype=np.float64)[: int(min(end / interval_s, 1e15))]
     inside = steps.at_s < y.size * interval_s
     steps = StepTrain(steps.at_s[inside], steps.height[inside], steps.exact)
-    ends = interval_s * np.arange(1.0, y.size + 1)
-    seen = _StepWords(y, np.isfinite(y), np.asarray(ends, dtype=np.float64), interval_s, steps)
+    ends = interval_s * np.arange(1, y.size + 1, dtype=np.float64)
+    seen = _StepWords(y, np.isfinite(y), ends, interval_s, steps)
     apart = float(np.diff(steps.at_s).min())
     lag = _half_risen(seen, apart)
     fits = []
@@ -197,9 +197,8 @@ def step_response(words: ArrayLike, interval_s: float, steps: StepTrain) -> Filt
             for _, begin in starts[:_TRIES]
         ]
         best = min(tries, key=lambda one: float(one.cost))
-        score = seen.there.sum() * np.log(max(float(best.cost), 1e-300)) + np.log(seen.there.sum()) * number * (
-            1 if steps.exact else 2
-        )
+        penalty = np.log(seen.there.sum()) * number * (1 if steps.exact else 2)
+        score = seen.there.sum() * np.log(max(float(best.cost), 1e-300)) + penalty
         fits.append((score, form, np.asarray(best.x)))
     return _as_response(seen, *min(fits, key=lambda one: one[0])[1:])
 
@@ -451,7 +450,8 @@ def sine_response(points: Sequence[SinePoint]) -> FilterResponse:
         found = least_squares(off, start, args=(form,), x_scale=np.maximum(np.abs(start), 1e-6))
         fits.append((2 * found.cost + np.log(2 * f.size) * start.size, form, found))
     _, form, best = min(fits, key=lambda one: one[0])
-    chi_square = 2 * best.cost / max(2 * f.size - best.x.size, 1)
+    freedom = 2 * f.size - best.x.size
+    chi_square = 2 * best.cost / freedom
     covariance = _inverse(best.jac) * max(chi_square, 1.0)
 
     bandwidth, bandwidth_u = _with_u(lambda p: form.bandwidth_hz(p[2:]), best.x, covariance)
@@ -459,13 +459,11 @@ def sine_response(points: Sequence[SinePoint]) -> FilterResponse:
         first = next(one for one in fits if one[1] is FORMS[1])[2]
         wide = np.sqrt(_inverse(first.jac)[2, 2])
         bandwidth, bandwidth_u = FORMS[1].bandwidth_hz([first.x[2] + 2 * min(wide, 2.0)]), float("nan")
-    nothing = np.empty(0)
-    freedom = 2 * f.size - best.x.size
+    misfit = chi_square if chi_square > 2 + 2 * NORMAL_95 * np.sqrt(2 / freedom) else float("nan")
     return FilterResponse(
         form, best.x[2:], *_with_u(lambda p: float(p[0]), best.x, covariance), bandwidth, bandwidth_u,
         *_with_u(lambda p: float(p[1]) + form.delay_s(p[2:]), best.x, covariance), float("nan"),
-        chi_square if freedom > 0 and chi_square > 1 + NORMAL_95 * 2 * np.sqrt(2 / freedom) + 1 else float("nan"),
-        True, float("nan"), nothing, nothing,
+        misfit, True, float("nan"), np.empty(0), np.empty(0),
     )  # fmt: skip
 
 

@@ -181,8 +181,7 @@ def open_fog_bench(settings: FogSettings, tell: Callable[[str], None] = remark) 
 Floats = NDArray[np.float64]
 
 _PPM = 1e6
-_OPEN_LOOP_PERIOD_S = 0.05
-_PARTS = 8
+_OPEN_LOOP_PERIOD_S, _PARTS = 0.05, 8  # parts of an output behind a filter
 
 
 class SimulatedFogBench:
@@ -392,10 +391,8 @@ class ServedGyro:
         self.rate_dps = 0.0
         self.temperature_c = settings.figures.reference_temperature_c
         self._settings, self._interval_s = settings, interval_s
-        simulation = settings.simulation
         self._loop = loop_settings(settings)
-        coil = settings.coil.scaled(1 + 1e-6 * simulation.scale_change_ppm)
-        self._model = OutputModel(coil, self._loop, simulation.seed)
+        self.noise_from(0)
         self._earth = EARTH_RATE_DPS * np.sin(np.deg2rad(settings.site.latitude_deg))
         self._step, self._held = 0.0, False
 

@@ -16,11 +16,19 @@ import numpy as np
 from pydantic import Field
 
 from analysis.arrays import Complexes, Floats
-from analysis.fibre_gyro import FilterResponse, SinePoint, StepTrain, sine_point, sine_response, step_response
+from analysis.fibre_gyro import (
+    FilterResponse,
+    SinePoint,
+    StepTrain,
+    sine_point,
+    sine_response,
+    step_response,
+    steps_beyond_dac,
+)
 from instrument.fibre_gyro import TABLE_ANGLE
 from station.errors import NoUsableSignal
 from station.fibre_gyro.bench import turned_over
-from station.fibre_gyro.common import not_taken, reasons_of
+from station.fibre_gyro.common import beyond_converter, not_taken, reasons_of
 from station.fibre_gyro.logs import LogRow, NamedSegment, gyro_measurement, listed_logs, planned_segments
 from station.fibre_gyro.segments import PlannedSegment, Segment, checked, segments_of, words_of
 from station.fibre_gyro.settings import FogSettings, Name, TestSettings
@@ -73,16 +81,6 @@ class ResponseEvaluation:
         """Phase of the output behind the input."""
         return np.asarray(np.rad2deg(np.unwrap(np.angle(self.transfer))))
 
-    @property
-    def form(self) -> str:
-        """Form of the filter."""
-        return self.found.form.name
-
-    @property
-    def seen(self) -> bool:
-        """Whether a filter is seen at all."""
-        return math.isfinite(self.found.bandwidth_u_hz)
-
 
 def evaluate(run: SavedRun, settings: FogSettings, choices: Mapping[str, Any]) -> ResponseEvaluation:
     """Find the filter by the steps of the first segment that has some, else by all sines."""
@@ -108,10 +106,12 @@ def evaluate(run: SavedRun, settings: FogSettings, choices: Mapping[str, Any]) -
         return ResponseEvaluation(
             found, frequency, found.transfer(frequency), unmeasured, interval, tuple(left_out)
         )
+    if not sines:
+        raise NoUsableSignal(f"there are no steps of the input that can be used{reasons_of(left_out)}")
     try:
         found = sine_response(sines)
     except ValueError as error:
-        raise NoUsableSignal(f"no step and no sine of the input is seen: {error}{reasons_of(left_out)}") from None
+        raise NoUsableSignal(f"{error}{reasons_of(left_out)}") from None
     sines.sort(key=lambda one: one.frequency_hz)
     frequency, u = (np.array(one) for one in zip(*((s.frequency_hz, s.ratio_u) for s in sines), strict=True))
     return ResponseEvaluation(
@@ -168,11 +168,12 @@ QUANTITIES = (QuantityGroup(NUMBERS), QuantityGroup(POINTS, "points"))
 
 def result(found: ResponseEvaluation, run: SavedRun, settings: FogSettings) -> Result:
     """Put into numbers and sentences what was found."""
-    of, watched = found.found, [f"{one.sentence}." for one in found.left_out]
-    bandwidth = with_uncertainty(of.bandwidth_hz, of.bandwidth_u_hz, "Hz") if found.seen else ""
+    of, form, seen = found.found, found.found.form.name, math.isfinite(found.found.bandwidth_u_hz)
+    watched = [f"{one.sentence}." for one in found.left_out]
+    bandwidth = with_uncertainty(of.bandwidth_hz, of.bandwidth_u_hz, "Hz") if seen else ""
     lines = [
-        f"{found.form.capitalize()}; gain {with_uncertainty(of.gain, of.gain_u)} of that by design."
-        if found.seen
+        f"{form.capitalize()}; gain {with_uncertainty(of.gain, of.gain_u)} of that by design."
+        if seen
         else f"No filter is seen beside the mean over each output ({found.interval_s:.4g} s)."
     ]
     if math.isfinite(of.delay_s):
@@ -183,10 +184,10 @@ def result(found: ResponseEvaluation, run: SavedRun, settings: FogSettings) -> R
         )
     if math.isfinite(of.misfit):
         watched.append(
-            f"Behind the steps the output differs from a {found.form}, {of.misfit:.2g} times the power elsewhere: "
+            f"Behind the steps the output differs from a {form}, {of.misfit:.2g} times the power elsewhere: "
             "the gyro has another filter, and bandwidth and delay are only near."
             if not found.by_sine
-            else f"The points lie off a {found.form}, chi-square {of.misfit:.2g} a point: it is another filter."
+            else f"The points lie off a {form}, chi-square {of.misfit:.2g} a point: it is another filter."
         )
     if not of.settled:
         watched.append("The output does not come to rest between the steps: use a longer response.half_period_s.")
@@ -202,9 +203,9 @@ def result(found: ResponseEvaluation, run: SavedRun, settings: FogSettings) -> R
         )
     return Result(
         name="result",
-        value=f"Bandwidth {bandwidth}" if found.seen else f"Bandwidth above {of.bandwidth_hz:.3g} Hz",
+        value=f"Bandwidth {bandwidth}" if seen else f"Bandwidth above {of.bandwidth_hz:.3g} Hz",
         document={
-            "form": found.form,
+            "form": form,
             **document(found, NUMBERS),
             "points": rows(found, POINTS),
             "left_out": found.left_out,
@@ -273,16 +274,22 @@ def _transfer(found: ResponseEvaluation) -> str:
 
 
 def plan(settings: FogSettings) -> list[PlannedSegment]:
-    """List the one segment: steps of the injected staircase from one sense to the other and back."""
+    """List the one segment, steps of the injected staircase from one sense to the other, if it can be made."""
     own = _own(settings)
     codes = settings.coil.nominal_scale(settings.gyro.dac_bits) * own.rate_dps
+    if steps_beyond_dac(codes, settings.gyro.dac_bits):
+        return []
     conditions = {"purpose": PURPOSE, "axis": own.axis, "end_up": 1, "rate_dps": 0.0, "step_codes": codes}
+    conditions["half_period_s"] = own.half_period_s
     seconds = (2 * own.periods + 1) * own.half_period_s
-    return [
-        PlannedSegment(
-            f"{own.axis} steps", seconds, own.settle_s, {**conditions, "half_period_s": own.half_period_s}
-        )
-    ]
+    return [PlannedSegment(f"{own.axis} steps", seconds, own.settle_s, conditions)]
+
+
+def beyond(settings: FogSettings) -> dict[str, str]:
+    """Name the steps if they are beyond the converter."""
+    own, bits = _own(settings), settings.gyro.dac_bits
+    reason = beyond_converter(settings.coil.nominal_scale(bits) * own.rate_dps, bits)
+    return {} if plan(settings) else {f"{own.axis} steps": reason}
 
 
 def named(listed: Sequence[LogRow], settings: FogSettings) -> list[NamedSegment]:
@@ -293,7 +300,7 @@ def named(listed: Sequence[LogRow], settings: FogSettings) -> list[NamedSegment]
 MEASUREMENT = gyro_measurement(
     PURPOSE,
     "Frequency response",
-    take=planned_segments(plan),
+    take=planned_segments(plan, beyond),
     take_files=listed_logs(PURPOSE, (), named, whole=True),
     evaluate=evaluate,
     result=result,

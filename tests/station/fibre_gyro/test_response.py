@@ -184,6 +184,16 @@ def test_no_filter_is_a_lower_bound(tmp_path, monkeypatch, capsys) -> None:
     assert "Bandwidth above" in said and "No filter is seen" in said
 
 
+def test_a_step_beyond_the_converter_and_one_too_short_are_told(tmp_path, monkeypatch, capsys) -> None:
+    monkeypatch.chdir(tmp_path)
+    own = tmp_path / "own.toml"
+    own.write_text("[response]\nrate_dps = 5000.0\n")
+    assert "beyond the 16-bit converter" in respond(capsys, "--config", own, code=4)["error"]["message"]
+    own.write_text("[response]\nhalf_period_s = 0.2\n")
+    said = respond(capsys, "--config", own, code=4)["error"]["message"]
+    assert "there are not 8 outputs" in said and "sine" not in said
+
+
 def test_what_holds_no_input_is_told(tmp_path, monkeypatch, capsys) -> None:
     monkeypatch.chdir(tmp_path)
     log = write(tmp_path / "rest.csv", "time,counts", np.arange(600) * 0.01, np.arange(600) % 7)

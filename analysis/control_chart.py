@@ -7,6 +7,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+import scipy.optimize
+import scipy.special
 from numpy.typing import ArrayLike
 
 from analysis.arrays import Floats
@@ -88,3 +90,53 @@ def _signals(z: Floats, ranges: Floats) -> Iterator[Signal]:
                 if out[place] and out[place - of + 1 : place + 1].sum() >= count:
                     yield Signal(place, rule)
     yield from (Signal(int(place), 5) for place in np.flatnonzero(ranges > _D4))
+
+
+@dataclass(frozen=True)
+class Trend:
+    """How fast a number changes, with the 95 % interval."""
+
+    per_day: float
+    low_95: float
+    high_95: float
+    days: float  # from the first to the last value
+    values: int
+
+
+def trend(at_days: ArrayLike, values: ArrayLike, u: ArrayLike, of: ArrayLike) -> Trend | None:
+    """Fit one slope to values of one or more things, each with a level of its own.
+
+    What the values scatter beyond their uncertainties is found with it (Paule and Mandel, J. Res. NBS 87, 1982).
+
+    Parameters
+    ----------
+    at_days, values, u, of : (n,)
+        Time, days; value; its standard uncertainty, nan where nobody knows it; what it is of.
+
+    Returns
+    -------
+    Trend or None
+        None where fewer than two more values than levels are there, or all at one time.
+    """
+    t, y, known = (np.asarray(one, dtype=np.float64) for one in (at_days, values, u))
+    names, which = np.unique(np.asarray(of), return_inverse=True)
+    freedom = y.size - names.size - 1
+    design = np.column_stack([np.eye(names.size)[which], t - t.mean()]) if y.size else np.empty((0, 1))
+    if freedom < 2 or np.linalg.matrix_rank(design) < design.shape[1]:
+        return None
+    variance = np.nan_to_num(known) ** 2
+    plain = y - design @ np.linalg.lstsq(design, y, rcond=None)[0]
+    floor = 1e-24 * float(np.ptp(y)) ** 2 + 1e-300
+
+    def solved(scatter: float) -> tuple[float, float, float]:
+        weight = 1 / np.sqrt(variance + scatter + floor)
+        factors = np.linalg.pinv(design * weight[:, np.newaxis])
+        left = weight * y - design * weight[:, np.newaxis] @ (factors @ (weight * y))
+        return float(factors[-1] @ (weight * y)), float(np.linalg.norm(factors[-1])), float(left @ left) - freedom
+
+    most = float(plain @ plain) + float(variance.max())
+    beyond = solved(0.0)[2] > 0
+    scatter = scipy.optimize.brentq(lambda one: solved(one)[2], 0.0, most) if beyond else 0.0
+    slope, slope_u, _ = solved(scatter)
+    half = slope_u * float(scipy.special.stdtrit(freedom, 0.975) if beyond else scipy.special.ndtri(0.975))
+    return Trend(slope, slope - half, slope + half, float(np.ptp(t)), y.size)

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from analysis.control_chart import FEWEST, RULES, ControlChart, control_chart
+from analysis.control_chart import FEWEST, RULES, ControlChart, Trend, control_chart, trend
 from station.campaign.journal import PAGE_FILE
 from station.campaign.record import NAME, RECORD_FILE, as_csv
 from station.files import version
@@ -183,10 +183,12 @@ class ControlSeries:
         """What the chart says, in words."""
         chart = self.chart
         if chart.values.size < FEWEST:
-            return [f"No limits yet: they need {FEWEST} values, there are {chart.values.size}."]
+            few = f"No limits yet: they need {FEWEST} values, there are {chart.values.size}."
+            return [few, *self._trend_words]
         if not chart.has_limits:
             return ["All values of the baseline are the same: there are no limits."]
         said = [
+            *self._trend_words,
             *self._capability,
             f"Centre {chart.centre:.6g}, sigma {chart.sigma:.2g} by the moving range of the first "
             f"{chart.baseline}, limits {chart.centre - 3 * chart.sigma:.6g} to "
@@ -198,6 +200,22 @@ class ControlSeries:
             test = self.tests[one.place]
             said.append(f"{test.at[:16].replace('T', ' ')} UTC, {test.unit}: {RULES[one.rule]}.")
         return said
+
+    @property
+    def trend(self) -> Trend | None:
+        """How fast the number of the same unit changes; ``None`` where too few units were tested again."""
+        days = [datetime.fromisoformat(one.at).timestamp() / 86400 for one in self.tests]
+        return trend(days, self.chart.values, self.us, [one.unit for one in self.tests])
+
+    @property
+    def _trend_words(self) -> list[str]:
+        """The trend, or that there is none."""
+        if (found := self.trend) is None or not found.high_95 > found.low_95:
+            return []
+        interval = f"{found.low_95:+.2g} to {found.high_95:+.2g} a day (95 %, {found.days:.3g} days)"
+        if found.low_95 < 0 < found.high_95:
+            return [f"The same unit shows no trend: {interval}."]
+        return [f"The same unit drifts by {found.per_day:+.2g} a day: {interval}."]
 
     @property
     def _capability(self) -> list[str]:

@@ -89,6 +89,7 @@ FIBRE_GYRO_TESTS = {
     "temperature": "Scale factor and bias over a temperature ramp, compensation table. PATH may be a log at rest.",
     "sensitivity": "Sensitivity of bias and K to a field, supply, pressure, ..; bias and K from six positions.",
     "response": "Bandwidth, delay and transfer function, by injected steps; or logs of a table that swings.",
+    "range": "Input range: largest rate that the output follows in each sense; recovery from an overload.",
     "witness": "Modulator staircase on an oscilloscope: step, step time, fall at a reset, V_2π, 2π error.",
 }
 # what a run is marked with: the module that holds MEASUREMENT

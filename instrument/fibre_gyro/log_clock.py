@@ -33,6 +33,8 @@ _NO_CLOCK = (
 )
 _BEYOND_STEPS = 2.5  # of the stamps, by which a line through them may miss the stamps
 _FEW_STAIRS = 3  # places that are skipped evenly, from which on they are no missing rows
+_BESIDE, _APART = 100, 10  # rows that a step of the clock is seen by, and those nearest to it
+_LEAST_STEP, _LARGEST_STEP, _COARSEST = 0.2, 0.75, 0.4  # such a step, and stamps with it, in intervals
 _NO_CHANCE = 8.0  # logarithm by which a line in where they are exceeds what chance makes
 
 
@@ -102,6 +104,34 @@ def find_clock(times: Floats, interval_s: float | None) -> LogClock:
         return _by_stated_rate(times, interval_s)
     clear = step <= _COARSE * interval and float(np.abs(times - interval * places).max()) < 0.25 * interval
     return LogClock(interval, places, not clear)
+
+
+def step_of_clock(times: Floats, clock: LogClock) -> tuple[int, float] | None:
+    """The row before which the clock was set, and by what beside whole intervals, s; ``None`` if none is seen."""
+    width, rounding = _BESIDE + _APART, _rounding(times)
+    if times.size < 4 * width or rounding > _COARSEST * clock.interval_s:
+        return None
+    late = times - clock.interval_s * clock.places
+    sums = np.concatenate([[0.0], np.cumsum(late - late.mean())])
+    means = (sums[_BESIDE:] - sums[:-_BESIDE]) / _BESIDE  # of so many rows from each on
+    steps = means[width + _APART :] - means[: -width - _APART]
+    least = max(
+        _LEAST_STEP * clock.interval_s, 1.5 * rounding, _NO_CHANCE * 1.4826 * float(np.median(np.abs(steps)))
+    )
+    middle = int(np.abs(steps).argmax())
+    if abs(steps[middle]) < least:
+        return None
+    inside = np.arange(middle + _BESIDE, middle + _BESIDE + 2 * _APART + 1)  # the row is one of these
+    nearer = np.abs(np.diff(late))[inside[:-1]]
+    row, before, behind = (
+        int(inside[nearer.argmax()]) + 1,
+        late[middle : middle + _BESIDE],
+        late[inside[-1] :][:_BESIDE],
+    )
+    size = float(np.median(behind) - np.median(before))
+    # rows that came late for a while are no step, nor is a missing row that is taken for another
+    seen = least < abs(size) < _LARGEST_STEP * clock.interval_s and abs(size - steps[middle]) < least / 2
+    return (row, size) if seen else None
 
 
 def _by_stated_rate(times: Floats, interval_s: float | None) -> LogClock:
@@ -196,9 +226,10 @@ def _within_bounds(times: Floats, step: float, first: float) -> Places:
     late = times - interval * np.arange(times.size)
     allowed = 1.02 * step + 1e-3 * interval
     begin = 0
-    # each row that is missing puts all behind it a step back; more of them than there is time for is no clock
-    most = int(np.ptp(times) / max(interval, step)) + times.size
-    while begin < times.size - 1 and missing.sum() < most:
+    # what is missing puts all behind it a step back; more such places than rows are no clock
+    tries = 2 * times.size if interval > 0 else 0
+    while begin < times.size - 1 and tries:
+        tries -= 1
         part = late[begin : begin + _REACH]
         late_by = part - np.minimum.accumulate(part) - allowed
         above = late_by > 0

@@ -40,10 +40,18 @@ from instrument.fibre_gyro.frame_fields import (
     output_unit,
     seconds_of,
 )
-from instrument.fibre_gyro.log_clock import LogClock, Places, clock_of_counter, find_clock, line_through
+from instrument.fibre_gyro.log_clock import (
+    LogClock,
+    Places,
+    clock_of_counter,
+    find_clock,
+    line_through,
+    step_of_clock,
+)
 from instrument.fibre_gyro.recording import Floats, Gap, Losses, Recording, counts_per_unit
 from instrument.text_files import open_plain_file
 
+_MOST_SET = 20  # steps of the clock that are taken out
 _DOUBLED = 0.02  # of the rows: more equal time stamps than these are coarse stamps, not doubled rows
 _WORDS = (16, 20, 24, 32)  # bits
 _LARGEST = 1e50  # that is a number at all
@@ -181,6 +189,15 @@ def _read(text: IO[str], choices: LogChoices) -> GyroLog:
             raise FileFormatError(f"line {table.lines[large.argmax()]}: the {name} is {words[large.argmax()]:g}")
     stated = choices.interval_s and choices.interval_s * table.each
     clock, kind = _clock(times, counter, table, stated)
+    set_at, doubts = None if kind != "time column" or times is None else step_of_clock(times, clock), list[str]()
+    while times is not None and set_at is not None and len(doubts) < _MOST_SET:
+        row, by = set_at
+        doubts.append(
+            f"before line {table.lines[row]} the clock of its stamps was set, by {by:+.3g} s and whole rows"
+        )
+        times[row:] -= by
+        clock, _ = _clock(times, counter, table, stated)
+        set_at = step_of_clock(times, clock)
     gaps = _gaps(clock)
     missing, bad = sum(gap.missing for gap in gaps), Counter(table.bad)
     rest = Recording(
@@ -195,6 +212,7 @@ def _read(text: IO[str], choices: LogChoices) -> GyroLog:
         ),
         interval_s=clock.interval_s,
         clock=kind,
+        doubts=tuple(doubts),
     )
     return GyroLog(0.0 if times is None else float(times[0]), outputs, unit, table.each, rest)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
+from dataclasses import asdict
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -313,6 +314,7 @@ def _document(
                 "moving_range_limit": one.chart.range_limit,
                 "signals": [{"place": signal.place, "rule": signal.rule} for signal in one.chart.signals],
                 "in_control": one.chart.last_is_in_control,
+                "trend": None if (of_unit := one.trend) is None else asdict(of_unit),
             }
             for one in charts
         ],

@@ -17,7 +17,7 @@ from instrument.fibre_gyro import TABLE_ANGLE, FibreGyroLink, FrameFormat, Losse
 from instrument.simulated.fibre_gyro import PtyGyroServer, TcpGyroServer
 from station.controllers import open_rate_table, open_surroundings
 from station.errors import UsageError
-from station.fibre_gyro.segments import FogBench, PlannedSegment
+from station.fibre_gyro.segments import OVERLOAD, FogBench, PlannedSegment
 from station.fibre_gyro.settings import FogSettings
 from station.fibre_gyro.sniff import read_frame_format
 from station.terminal import ask_operator, remark
@@ -182,6 +182,7 @@ Floats = NDArray[np.float64]
 
 _PPM = 1e6
 _OPEN_LOOP_PERIOD_S, _PARTS = 0.05, 8  # parts of an output behind a filter
+_OF_FRINGE_LIMIT = 0.995  # what the output can show, beside bias and noise
 
 
 class SimulatedFogBench:
@@ -271,18 +272,26 @@ class SimulatedFogBench:
         end = int(conditions.get("end_up", 1))
         latitude, tilt = np.deg2rad(self._settings.site.latitude_deg), 1e-3 * simulation.misalignment_mrad
         edges = np.arange(count + 1) * period
-        azimuth = np.deg2rad(table * edges) + rng.uniform(0, 2 * np.pi)
+        turned = _overload_deg(conditions, np.asarray(edges - period)) if OVERLOAD in conditions else table * edges
+        azimuth = np.deg2rad(turned) + rng.uniform(0, 2 * np.pi)
         # mean of the cosine over each period
-        north = np.diff(np.sin(azimuth)) / np.diff(azimuth) if table else np.full(count, np.cos(azimuth[0]))
-        vertical = table + EARTH_RATE_DPS * np.sin(latitude)
+        sides = np.cos(azimuth)
+        north = np.diff(np.sin(azimuth)) / np.diff(azimuth) if table else (sides[1:] + sides[:-1]) / 2
+        vertical = np.diff(turned) / period + EARTH_RATE_DPS * np.sin(latitude)
         if position := conditions.get("position"):  # x to the north, z up
             along = {"x": np.cos(latitude), "y": 0.0, "z": np.sin(latitude)}[position[1]]
-            end, vertical, tilt = int(f"{position[0]}1"), EARTH_RATE_DPS * along, 0.0
+            end, vertical, tilt = int(f"{position[0]}1"), np.full(count, EARTH_RATE_DPS * along), 0.0
         on_axis = end * np.cos(tilt) * vertical + np.sin(tilt) * EARTH_RATE_DPS * np.cos(latitude) * north
         warm, times = self._warm(planned, count, period), np.asarray(edges[:-1] + period / 2, dtype=np.float64)
         change = simulation.temperature_coefficient_ppm * warm + simulation.scale_curvature_ppm_per_k2 * warm**2
+        if (since := conditions.get("since_on_s")) is not None:
+            change += simulation.warm_up_scale_ppm * np.exp(-(since + times) / simulation.warm_up_time_s)
         change += simulation.scale_ppm_per_stimulus * float(conditions.get("stimulus", 0.0))
         seen = as_the_gyro_sees(np.asarray(on_axis), self._settings) * (1 + change / _PPM)
+        if OVERLOAD in conditions and simulation.recovery_time_s:
+            last = int(np.flatnonzero(np.abs(on_axis) > np.abs(seen) + 1e-9)[-1:].sum())
+            keep = np.exp(-period / simulation.recovery_time_s)
+            seen[last:] = lfilter([1 - keep], [1, -keep], seen[last:], zi=[keep * seen[last]])[0]
         return seen + self._bias(planned, times, warm), azimuth
 
     def _warm(self, planned: PlannedSegment, count: int, period: float) -> Floats:
@@ -312,7 +321,9 @@ class SimulatedFogBench:
         if gyro.output_resolution:
             counts = gyro.output_resolution * np.round(counts / gyro.output_resolution)
         extra = {"normal_error": block.normal_error[1:], "reset_error": block.reset_error[1:]} if held else {}
-        if self._settings.simulation.table_encoder and planned.conditions["rate_dps"]:
+        if OVERLOAD in planned.conditions or (
+            self._settings.simulation.table_encoder and planned.conditions["rate_dps"]
+        ):
             extra[TABLE_ANGLE] = self._azimuth_deg % 360.0
         if "half_period_s" in planned.conditions:
             extra["injected"] = self._injected(planned, count + 1, block.interval_s)[1:]
@@ -340,6 +351,14 @@ class SimulatedFogBench:
         return warm
 
 
+def _overload_deg(conditions: Mapping[str, Any], at_s: Floats) -> Floats:
+    """Angle of a table that rests, speeds up, turns too fast and stops again."""
+    rate, hold, ramp = (float(conditions[name]) for name in (OVERLOAD, "overload_s", "stop_s"))
+    up, down = (np.clip((at_s - begin) / ramp, 0.0, None) for begin in (hold, 2 * hold + ramp))
+    areas = [np.where(one < 1, one**2 / 2, one - 0.5) for one in (up, down)]
+    return np.asarray(rate * ramp * (areas[0] - areas[1]), dtype=np.float64)
+
+
 def turned_over(planned: PlannedSegment) -> tuple[Floats, Floats]:
     """Times, s since the begin of what is kept, at which the injected step turns over, and the new steps."""
     half = float(planned.conditions.get("half_period_s", 0.0))
@@ -357,7 +376,8 @@ def as_the_gyro_sees(rates: Floats, settings: FogSettings) -> Floats:
         + simulation.cubic_ppm / _PPM * (rates / full) ** 2
         + simulation.asymmetry_ppm / _PPM / 2 * np.sign(rates)
     )
-    return np.where(np.abs(rates) < simulation.dead_zone_dps, 0.0, rates * shape)
+    largest = min(simulation.largest_rate_dps, _OF_FRINGE_LIMIT * settings.coil.fringe_limit_dps)
+    return np.clip(np.where(np.abs(rates) < simulation.dead_zone_dps, 0.0, rates * shape), -largest, largest)
 
 
 def loop_settings(settings: FogSettings) -> LoopDesign:

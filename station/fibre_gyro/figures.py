@@ -50,6 +50,7 @@ from station.fibre_gyro.segments import (
     segments_of,
     window_at_rest,
     window_of_any_length,
+    words_of,
 )
 from station.fibre_gyro.settings import FogSettings
 from station.report.figure import HALF, SOFT, WIDE, legend_above, svg_element
@@ -69,6 +70,7 @@ if TYPE_CHECKING:
 PURPOSE = "figures"
 _MANY_TURNS = 100_000
 _TURN_ON_BLOCKS = 180
+_STILL, _JUMP = 20, 15.0  # words that stand still, usual changes from word to word: the output is none yet
 
 
 @dataclass(frozen=True)
@@ -87,6 +89,8 @@ class MeritRun:
     bias_dph: float  # static output less the vertical earth rate; the uncertainty by its noise
     bias_u_dph: float
     turn_on: TurnOn | None  # transient after switching on, deg/h; ``None`` without a usable record of it
+    scale_turn_on: TurnOn | None  # the same of K, ppm, where the table turned in both senses
+    valid_s: float  # after switching on, when the output begins to be one; nan as above
     remarks: tuple[str, ...]  # what was missing or left out within the windows
 
 
@@ -121,6 +125,17 @@ class AxisMerit:
     def slowest(self) -> TurnOn | None:
         """Transient with the longest warm-up."""
         return max((one.turn_on for one in self.runs if one.turn_on), key=lambda one: one.warm_up_s, default=None)
+
+    @property
+    def slowest_scale(self) -> TurnOn | None:
+        """Transient of K with the longest warm-up."""
+        each = [one.scale_turn_on for one in self.runs if one.scale_turn_on]
+        return max(each, key=lambda one: one.warm_up_s, default=None)
+
+    @property
+    def output_valid_s(self) -> float:
+        """Longest time until the output begins to be one."""
+        return _largest([one.valid_s for one in self.runs])
 
     @property
     def turn_on_transient_dph(self) -> float:
@@ -290,7 +305,7 @@ def _one_run(
         largest.drift if both else math.nan,
         figures, residual_pattern(rate, output, u), any(one.modelled for one in drifts),
         sum(one for one, _ in bias) / len(bias), bias_u,
-        _turn_on(switched_on, figures.fit.slope, settings, left_out), tuple(remarks),
+        *_turn_on(switched_on, figures.fit.slope, settings, left_out), tuple(remarks),
     )  # fmt: skip
 
 
@@ -302,25 +317,68 @@ def _bias(found: StaticLevel, end_up: int, scale: float, settings: FogSettings) 
 
 def _turn_on(
     segments: Sequence[Segment], scale: float, settings: FogSettings, left_out: list[Excluded]
-) -> TurnOn | None:
-    """Fit the transient of the first output from switching on that can be used, by the K of its run."""
+) -> tuple[TurnOn | None, TurnOn | None, float]:
+    """Fit the transients of bias and K from switching on, by the K of their run; when the output is one."""
+    bias: TurnOn | None = None
+    of_scale: TurnOn | None = None
+    valid, turning = list[float](), dict[float, tuple[Segment, float]]()
     for segment in segments:
         try:
-            recording = checked(segment)
-            blocks = int(min(_TURN_ON_BLOCKS, recording.counts.size // 10))
-            edges = np.linspace(0, recording.times[-1] + recording.interval_s, max(blocks, 1) + 1)
-            place = np.digitize(recording.times + recording.interval_s / 2, edges[1:-1])
-            count = np.bincount(place, minlength=blocks)
-            with np.errstate(invalid="ignore"):
-                means = np.bincount(place, recording.counts, minlength=blocks) / count
-            values = 3600 * means / scale
-            since = float(segment.conditions["since_on_s"])
-            return turn_on_transient(
-                since + (edges[:-1] + edges[1:]) / 2, values, settings.figures.warm_up_bound_dph
-            )
+            words, since = words_of(checked(segment)), float(segment.conditions["since_on_s"])
+            begin = since + _live_from(words) * segment.recording.interval_s
+            valid.append(begin)
+            if rate := float(segment.conditions.get("table_rate_dps", segment.conditions["rate_dps"])):
+                turning[rate] = segment, begin
+            elif bias is None:
+                at, (means,) = _courses([(segment, begin)])
+                bias = turn_on_transient(at, 3600 * means / scale, settings.figures.warm_up_bound_dph)
         except ValueError as error:
             left_out.append(Excluded(segment.key, str(error)))
-    return None
+    for rate, (segment, begin) in turning.items():
+        back = next((one for one in turning if one * rate < 0), 0.0)
+        try:
+            if not back:
+                raise ValueError("the warm-up of K needs the output from switching on in both senses")
+            if of_scale is None:
+                at, (forth_means, back_means) = _courses([(segment, begin), turning[back]])
+                change = PPM * ((forth_means - back_means) / (rate - back) / scale - 1)
+                of_scale = turn_on_transient(at, change, settings.figures.warm_up_bound_ppm)
+        except ValueError as error:
+            left_out.append(Excluded(segment.key, str(error)))
+    return bias, of_scale, max(valid, default=math.nan)
+
+
+def _live_from(words: NDArray[np.float64]) -> int:
+    """How many words at the begin are no output yet: they stand still, or jump as no noise does."""
+    steps = np.nan_to_num(np.abs(np.diff(words)))
+    usual = float(np.median(steps[steps.size // 2 :]))
+    early = steps[: steps.size // 2]
+    if not usual or early.size < _STILL:
+        return 0
+    stands = np.convolve(early == 0, np.ones(_STILL), "valid") == _STILL
+    ends = [np.flatnonzero(early > _JUMP * usual) + 1, np.flatnonzero(stands) + _STILL]
+    return int(max((one[-1] for one in ends if one.size), default=0))
+
+
+def _courses(
+    switched_on: Sequence[tuple[Segment, float]],
+) -> tuple[NDArray[np.float64], list[NDArray[np.float64]]]:
+    """Means of outputs from switching on over the same equal times, and the middles of these."""
+    each = []
+    for segment, _ in switched_on:
+        words, step = words_of(segment.recording), segment.recording.interval_s
+        each.append((words, float(segment.conditions["since_on_s"]) + step * (np.arange(words.size) + 0.5)))
+    begin = max(at for _, at in switched_on)
+    end = min(float(at[-1] + (at[-1] - at[-2]) / 2) for _, at in each)
+    fewest = min(int(np.count_nonzero(at > begin)) for _, at in each)
+    blocks = max(1, min(_TURN_ON_BLOCKS, fewest // 10))
+    edges, means = np.linspace(begin, end, blocks + 1), []
+    for words, at in each:
+        inside = np.isfinite(words) & (at >= begin) & (at <= end)
+        place = np.digitize(at[inside], edges[1:-1])
+        with np.errstate(invalid="ignore"):
+            means.append(np.bincount(place, words[inside], blocks) / np.bincount(place, minlength=blocks))
+    return (edges[:-1] + edges[1:]) / 2, means
 
 
 @dataclass(frozen=True)
@@ -409,6 +467,32 @@ FIGURES = (
     _figure("bias_repeatability", "dph", interval=("bias.low_95", "bias.high_95")),
     _figure("turn_on_transient", "dph", doc="bias just after switching on less the final one"),
     _figure("warm_up", "s", interval=("slowest.warm_up_low_95_s", "slowest.warm_up_high_95_s")),
+    Quantity(
+        "scale_factor_transient",
+        "ppm",
+        "slowest_scale.transient",
+        u=True,
+        interval=True,
+        limit=True,
+        optional=True,
+        doc="K just after switching on less the final one",
+    ),
+    Quantity(
+        "scale_factor_warm_up",
+        "s",
+        "slowest_scale.warm_up_s",
+        limit=True,
+        optional=True,
+        interval=("slowest_scale.warm_up_low_95_s", "slowest_scale.warm_up_high_95_s"),
+    ),
+    Quantity(
+        "output_valid",
+        "s",
+        "output_valid_s",
+        limit=True,
+        optional=True,
+        doc="after switching on: from then on the words neither stand still nor jump",
+    ),
 )
 SCALE = (
     Quantity("scale_factor", "counts_per_dps", u=True, headline=True, trend=True, doc="mean of the runs"),
@@ -508,6 +592,13 @@ def _bias_lines(one: AxisMerit, *, several: bool) -> list[str]:
             f"{slowest.bound:g} deg/h of it after {slowest.warm_up_s:.3g} s (95 %: "
             f"{slowest.warm_up_low_95_s:.3g} s to {high})."
         )
+    if (of_scale := one.slowest_scale) is not None:
+        high = f"{of_scale.warm_up_high_95_s:.3g} s" if of_scale.ends else "beyond the record"
+        said.append(
+            f"{f'Axis {one.axis}: ' if several else ''}K just after switching on {of_scale.transient:+.3g} ppm "
+            f"off its final value; within {of_scale.bound:g} ppm of it after {of_scale.warm_up_s:.3g} s (95 %: "
+            f"{of_scale.warm_up_low_95_s:.3g} s to {high})."
+        )
     return said
 
 
@@ -517,7 +608,8 @@ def _document(found: FiguresEvaluation) -> dict[str, Any]:
     top = {name: value for name, value in axes[0].items() if name != "axis"}
     if len(axes) > 1:
         top = dict.fromkeys(document(found.axes[0], SCALE)) | {
-            one.key(): found.largest(one.key()) for one in FIGURES
+            one.key(): _largest([axis[one.key()] for axis in axes if axis[one.key()] is not None])
+            for one in FIGURES
         }
     return {
         "style": "GJB and IEEE style; nonlinearity is of full scale unless its name says of_point",
@@ -574,11 +666,12 @@ def _to_watch_in(one: MeritRun) -> list[str]:
             f"{one.name}: {senses[0]} rates in one sense and {senses[1]} in the other; GJB style asks for "
             f"{_GJB_RATES} in each."
         )
-    if one.turn_on is not None and not one.turn_on.ends:
-        said.append(
-            f"{one.name}: the record from switching on is too short to show that the bias stays within "
-            f"{one.turn_on.bound:g} deg/h: record longer (figures.turn_on_s)."
-        )
+    said += [
+        f"{one.name}: the record from switching on is too short to show that {what} stays within "
+        f"{transient.bound:g} {unit}: record longer (figures.turn_on_s)."
+        for what, transient, unit in (("the bias", one.turn_on, "deg/h"), ("K", one.scale_turn_on, "ppm"))
+        if transient is not None and not transient.ends
+    ]
     return [*said, *one.remarks]
 
 
@@ -633,7 +726,10 @@ def _bias_sections(found: FiguresEvaluation) -> list[Section]:
         bound = next(one.turn_on.bound for one in transients if one.turn_on)
         text += f" The warm-up is over when the bias stays within {bound:g} deg/h of its final value."
         caption = "Fitted bias from each switching on, less its final value; dashed: the bound."
-        figures = (PlacedFigure(_transients_svg(transients), caption),)
+        figures = (PlacedFigure(_transients_svg(transients, "turn_on", "bias less final, deg/h"), caption),)
+    if of_scale := [one for axis in found.axes for one in axis.runs if one.scale_turn_on is not None]:
+        caption = "The same of K, by both senses."
+        figures += (PlacedFigure(_transients_svg(of_scale, "scale_turn_on", "K less final, ppm"), caption),)
     return [
         Section(
             "Bias from one switching on to the next", text, figures=figures, table=TextTable(header, tuple(rows))
@@ -641,13 +737,13 @@ def _bias_sections(found: FiguresEvaluation) -> list[Section]:
     ]
 
 
-def _transients_svg(runs: Sequence[MeritRun]) -> str:
-    """Draw the bias after switching on, less its final value: means over equal times, and fitted."""
+def _transients_svg(runs: Sequence[MeritRun], which: str, label: str) -> str:
+    """Draw bias or K after switching on, less its final value: means over equal times, and fitted."""
 
     def draw(figure: Figure) -> None:
         axes = figure.add_subplot()
         for index, one in enumerate(runs):
-            if (turn_on := one.turn_on) is not None:
+            if (turn_on := getattr(one, which)) is not None:
                 colour = COLOURS[index % 7]
                 axes.plot(turn_on.at_s, turn_on.values - turn_on.curve_end, ".", ms=3, color=colour, alpha=0.6)
                 axes.plot(
@@ -655,7 +751,7 @@ def _transients_svg(runs: Sequence[MeritRun]) -> str:
                 )
                 for sense in (1, -1):
                     axes.axhline(sense * turn_on.bound, color=SOFT, linewidth=0.7, linestyle=(0, (4, 3)))
-        axes.set(xlabel="time since switching on, s", ylabel="bias less final, deg/h")
+        axes.set(xlabel="time since switching on, s", ylabel=label)
         legend_above(axes, columns=6)
 
     return svg_element("turn-on", WIDE, draw)
@@ -742,6 +838,12 @@ def plan(settings: FogSettings) -> list[PlannedSegment]:
         common |= {"temperature_c": temperature}
         rest = {**common, "rate_dps": 0.0}
         if reference and chosen.turn_on_s:
+            for rate in (chosen.turn_on_rate_dps, -chosen.turn_on_rate_dps) if chosen.turn_on_rate_dps else ():
+                asked = f"The table turns first: {rate:+g} deg/s."
+                turning = {**common, "rate_dps": rate, "since_on_s": 0.0, "by_hand": asked}
+                planned.append(
+                    PlannedSegment(f"{name}, switched on, {rate:+g} deg/s", chosen.turn_on_s, 0.0, turning)
+                )
             planned.append(
                 PlannedSegment(f"{name}, switched on", chosen.turn_on_s, 0.0, {**rest, "since_on_s": 0.0})
             )
@@ -777,7 +879,9 @@ def _named(row: LogRow, settings: FogSettings, *, several: bool) -> NamedSegment
     }
     of_axis = f"{axis} " if several else ""
     down = " down" if end_up < 0 else ""
-    what = "switched on" if "since_on_s" in row else "static" if rate == 0 else f"{rate:+.10g} deg/s"
+    what = "static" if rate == 0 else f"{rate:+.10g} deg/s"
+    if "since_on_s" in row:
+        what = f"switched on{f', {what}' if rate else ''}"
     return f"{of_axis}{conditions['run']}, {what}{down}", conditions
 
 

@@ -147,6 +147,7 @@ def examine(settings: FogSettings) -> list[Check]:
 #                        the outputs of three axes it also says which of them is meant
 #     table_rate_dps     optional: the rate that the table really had
 #     base_dps           optional, threshold: the rate about which a change was made, for the resolution
+#     overload_dps       range: largest rate of a log in which the table turns too fast and stops; with table_deg
 #     end_up             optional: -1 where the axis pointed down
 #     stands_for_dps     selfcal: the rate that the injected step stands for, 0 at rest
 #     number             selfcal: the injected step in counts, 0 at rest
@@ -165,6 +166,7 @@ _NUMBERS = (
     "rate_dps",
     "table_rate_dps",
     "base_dps",
+    "overload_dps",
     "since_on_s",
     "stands_for_dps",
     "number",

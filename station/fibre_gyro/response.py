@@ -150,7 +150,7 @@ def _sine(segment: Segment, settings: FogSettings) -> SinePoint:
 
 NUMBERS = (
     Quantity(
-        "bandwidth", "hz", "found.bandwidth_hz", "found.bandwidth_u_hz", headline=True,
+        "bandwidth", "hz", "found.bandwidth_hz", "found.bandwidth_u_hz", limit=True, at_least=True, headline=True,
         doc="where the filter passes half the power; at least that where no filter is seen",
     ),
     Quantity("delay", "s", "found.delay_s", "found.delay_u_s", limit=True, optional=True, doc="at low frequency"),

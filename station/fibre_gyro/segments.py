@@ -35,6 +35,9 @@ from station.runs.store import NewRecord, RunWriter, SavedRecord, SavedRun
 BY_ENCODER = "by_encoder_s"
 """Condition of a segment whose rate the table's encoder gave: seconds of the log beside its steady whole turns."""
 
+OVERLOAD = "overload_dps"
+"""Condition of a segment in which the table turns faster than the gyro follows, and stops."""
+
 _OF_ENCODER_PPM = 5e4  # by which the rate of a list may be off where the encoder gives the rate
 MARGIN_S = 1.0  # so much longer than whole turns is a recording: they end within an output word
 
@@ -425,7 +428,8 @@ def _segment(record: SavedRecord, run: SavedRun) -> Segment:
     segment = Segment(record.key, record.conditions, recording, record.intact, record.taken_at)
     # what is shorter than a turn, as small rates are, has no whole turns
     whole = abs(float(record.conditions.get("rate_dps") or 0.0)) * recording.duration_s >= 360.0
-    return _by_encoder(segment) if whole and TABLE_ANGLE in recording.extra else segment
+    by_encoder = whole and TABLE_ANGLE in recording.extra and "since_on_s" not in record.conditions
+    return _by_encoder(segment) if by_encoder else segment
 
 
 def _by_encoder(segment: Segment) -> Segment:

@@ -179,8 +179,8 @@ NUMBERS = (
         "scale_factor_change", "ppm", _largest("scale", "change"), _largest("scale", "change_u"), limit=True,
         optional=True, doc="largest change from the reference",
     ),
-    Quantity("tumble_scale_factor", "counts_per_dps", "tumble.slope", u=True),
-    Quantity("tumble_bias", "dph", _in_dph("intercept"), _in_dph("intercept_u")),
+    Quantity("tumble_scale_factor", "counts_per_dps", "tumble.slope", u=True, trend=True),
+    Quantity("tumble_bias", "dph", _in_dph("intercept"), _in_dph("intercept_u"), trend=True),
 )  # fmt: skip
 LEVELS = (
     Quantity("stimulus", of="level", label="stimulus", form="{:g}"),

@@ -103,7 +103,9 @@ class FiguresSettings(SettingsSection):
     settle_s: NotNegative
     misalignment_mrad: NotNegative
     turn_on_s: NotNegative
+    turn_on_rate_dps: NotNegative
     warm_up_bound_dph: Positive
+    warm_up_bound_ppm: Positive
 
 
 class FogSimulationSettings(SettingsSection):
@@ -126,6 +128,8 @@ class FogSimulationSettings(SettingsSection):
     asymmetry_ppm: Finite
     cubic_ppm: Finite
     dead_zone_dps: NotNegative
+    largest_rate_dps: Positive
+    recovery_time_s: NotNegative
     scale_curvature_ppm_per_k2: Finite
     bias_dph_per_k: Finite
     bias_dph_per_k2: Finite
@@ -135,6 +139,7 @@ class FogSimulationSettings(SettingsSection):
     temperature_noise_c: NotNegative
     switch_on_bias_dph: NotNegative
     warm_up_bias_dph: Finite
+    warm_up_scale_ppm: Finite
     warm_up_time_s: Positive
     half_wave_v: Positive
     scope_gain_error: Annotated[float, Field(ge=-0.1, le=0.1)]

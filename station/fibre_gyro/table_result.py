@@ -321,7 +321,14 @@ NUMBERS = (
     ),
     Quantity("scale_factor_at_base_rate", "counts_per_dps", lambda one: one.parts.odd[0] / one.parts.rate_dps[0]),
     Quantity("even_part", "dph", lambda one: one.fit.even_dph[0], lambda one: one.fit.even_dph[1]),
-    Quantity("bias", "dph", lambda one: one.bias_dph[0], lambda one: one.bias_dph[1], doc="less the earth rate"),
+    Quantity(
+        "bias",
+        "dph",
+        lambda one: one.bias_dph[0],
+        lambda one: one.bias_dph[1],
+        trend=True,
+        doc="less the earth rate",
+    ),
     Quantity(
         "vertical_earth_rate", "dph", lambda one: one.fit.earth_rate_dph[0], lambda one: one.fit.earth_rate_dph[1]
     ),

@@ -57,6 +57,7 @@ class Quantity:
     interval: Get | tuple[Get, Get] | bool = False  # 95 %, both ends; True: `of` with "_low_95" and "_high_95"
     scale: float = 1.0  # from the unit of the analysis to this one
     limit: bool | str = False  # whether [limits] may name it; a text: by another name than its key
+    at_least: bool = False  # whether what [limits] name is the least that it may be, not the most
     headline: bool = False  # whether the list of runs shows it
     trend: bool = False  # whether control charts follow it though no limit is set on it
     bound: bool = False  # where there is no value, the upper end of its interval is judged: it is below that

@@ -79,7 +79,7 @@ class LimitOutcome:
         return {
             "name": self.name,
             "value": abs(self.measured.value),
-            "limit": self.limit.at_most,
+            "limit": self.limit.at_least if self.limit.at_most is None else self.limit.at_most,
             "passed": self.passed,
             "verdict": self.verdict,
             "low_95": self.measured.low_95,
@@ -267,14 +267,17 @@ def _instead(outcome: LimitOutcome, verdict: Verdict, why: str, reasons: Sequenc
 
 
 def limits_in(settings: Mapping[str, float | None], result: Result) -> Iterator[Limit]:
-    """Return the [limits] that a result has the numbers of: on their sizes, with a guard band of U95."""
+    """Return the [limits] that a result has the numbers of: on sizes, with a guard band of U95."""
     # What has no uncertainty, or is one itself, is decided by its value.
     for name in dict.fromkeys(one.quantity.limit_name for one in result.measured):
-        if (most := settings.get(name)) is not None:
+        if (end := settings.get(name)) is not None:
             values = [one for one in result.measured if one.quantity.limit_name == name]
             signed = any(min(one.value, one.low_95) < 0 for one in values)
             rule: Rule = "U95" if all(one.uncertain for one in values) else "none"
-            yield Limit(name, -most if signed else None, most, rule)
+            if values[0].quantity.at_least:
+                yield Limit(name, end, None, rule)
+            else:
+                yield Limit(name, -end if signed else None, end, rule)
 
 
 def values_of(result: Result, document: Mapping[str, Any], number: str) -> list[Value]:

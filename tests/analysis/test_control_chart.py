@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from analysis.control_chart import control_chart
+from analysis.control_chart import control_chart, trend
 
 # moving ranges 1 1 2 1 1 2 2 0: mean 1.25
 VALUES = [10.0, 11.0, 10.0, 12.0, 11.0, 10.0, 12.0, 10.0, 10.0]
@@ -75,3 +75,29 @@ def test_chance_alone_signals_seldom_and_a_shift_soon() -> None:
     assert 0.008 < alarms < 0.03
     shifted = control_chart([*values[:500], *(values[500:600] + 2)], baseline=500)
     assert min(one.place for one in shifted.signals if one.place >= 500 and one.rule < 5) < 508
+
+
+@pytest.mark.parametrize("scatter", [0.0, 3.0])
+def test_the_interval_of_a_trend_holds(scatter: float) -> None:
+    """Three things of other levels, tested at random times; with and without scatter beyond the uncertainties."""
+    rng, inside = np.random.default_rng(4), 0
+    for _ in range(300):
+        of = np.repeat([0, 1, 2], [6, 3, 1])
+        days, u = rng.uniform(0, 30, of.size), rng.uniform(0.3, 3, of.size)
+        values = (
+            100.0 * of + 0.2 * days + u * rng.standard_normal(of.size) + scatter * rng.standard_normal(of.size)
+        )
+        found = trend(days, values, u, of)
+        assert found is not None
+        assert found.low_95 < found.per_day < found.high_95
+        inside += found.low_95 < 0.2 < found.high_95
+    assert 0.92 * 300 < inside < 0.99 * 300
+
+
+def test_too_few_values_or_one_time_give_no_trend() -> None:
+    assert trend([0.0, 1.0, 2.0], [1.0, 2.0, 3.0], [1.0] * 3, ["a"] * 3) is None
+    assert trend([0.0] * 6, np.arange(6), [1.0] * 6, ["a"] * 6) is None
+    assert trend(np.arange(6), np.arange(6), [1.0] * 6, list("abcdef")) is None
+    found = trend(np.arange(6), 2 * np.arange(6), [np.nan] * 6, ["a"] * 6)
+    assert found is not None
+    assert found.per_day == pytest.approx(2)

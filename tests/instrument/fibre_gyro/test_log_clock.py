@@ -1,5 +1,7 @@
 """Interval and missing rows of logs with time stamps as recorders write them."""
 
+import time
+
 import numpy as np
 import pytest
 from log_text import parse_gyro_log
@@ -89,3 +91,36 @@ def test_what_is_not_clear_is_asked(text: str, said: str) -> None:
     with pytest.raises(FileFormatError) as caught:
         parse_gyro_log(text)
     assert said in str(caught.value) and "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("of_rows", [0.3, 0.5, -0.5, 1.3, 2.5])
+@pytest.mark.parametrize("jitter", [0.005, 0.05])
+def test_a_clock_that_was_set_is_told_and_taken_out(of_rows: float, jitter: float) -> None:
+    rng, interval, rows = np.random.default_rng(6), 0.02, 5000
+    at = interval * (np.arange(rows) + of_rows * (np.arange(rows) >= 3100) + jitter * rng.standard_normal(rows))
+    log = parse_gyro_log("time,counts\n" + "\n".join(f"{one:.5f},{n % 7}" for n, one in enumerate(at)))
+    assert abs(log.interval_s / interval - 1) < 1e-5
+    (doubt,) = log.doubts
+    assert "the clock of its stamps was set" in doubt
+    assert abs(int(doubt.split()[2]) - 3102) < 30
+    assert sum(gap.missing for gap in log.gaps) == max(round(of_rows - 0.01), 0)
+
+
+def test_rows_that_come_late_for_a_while_are_no_set_clock() -> None:
+    rng, interval, rows = np.random.default_rng(7), 0.02, 5000
+    late = np.zeros(rows)
+    late[2000:2080] = np.linspace(8, 0, 80)  # a host that stood still, and caught up
+    at = np.maximum.accumulate(interval * (np.arange(rows) + late + 0.05 * rng.random(rows)))
+    log = parse_gyro_log("time,counts\n" + "\n".join(f"{one:.5f},{n % 7}" for n, one in enumerate(at)))
+    assert log.doubts == ()
+
+
+def test_a_pause_between_stamps_that_are_coarse_ends_soon() -> None:
+    """Its rows were looked for one after the other."""
+    rng = np.random.default_rng(3)
+    at = np.round(np.sort(0.005 * np.arange(200) + np.where(np.arange(200) > 90, 2837.0, 0.0)), 2)
+    text = "time,counts\n" + "\n".join(f"{one:.2f},{rng.normal():.3f}" for one in at)
+    before = time.process_time()
+    log = parse_gyro_log(text, interval_s=0.005)
+    assert time.process_time() - before < 2
+    assert sum(gap.missing for gap in log.gaps) == pytest.approx(2837 / 0.005, rel=0.01)

@@ -12,7 +12,7 @@ SMALL: dict[str, Any] = {
     "table": {"axes": ["X", "Z"], "turns": 2},
     "selfcal": {"step_s": 5.0, "static_s": 5.0},
     "eps": {"record_s": 0.2},
-    "figures": {"runs": 2, "rates_dps": [10.0, 50.0, 100.0], "temperatures_c": [60.0]},
+    "figures": {"runs": 2, "rates_dps": [10.0, 50.0, 100.0], "temperatures_c": [60.0], "turn_on_rate_dps": 20.0},
     "witness": {"records": 1},
     "sensitivity": {"record_s": 20.0},
 }

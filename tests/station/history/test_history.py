@@ -57,6 +57,22 @@ def check(folder: Path, now: datetime = NOW) -> Any:
     return in_control(folder, "REF", "RLG", now, 86400.0)
 
 
+def test_a_trend_of_the_same_units_is_told_with_its_interval(tmp_path: Path, capsys) -> None:
+    rng = np.random.default_rng(7)
+    for place in range(40):  # four units of different levels, each tested every fourth day
+        level = 0.01 + 0.002 * (place % 4)
+        value = level + 4e-6 * place + 1e-5 * rng.standard_normal()
+        write_record(tmp_path, f"RLG-{place % 4}", NOW - timedelta(days=40 - place), value)
+    (chart,) = (one for one in courses(read_tests(tmp_path)[0]) if "lock_in_rate" in one.name)
+    found = chart.trend
+    assert found is not None
+    assert found.low_95 < 4e-6 < found.high_95 < 4.8e-6
+    assert any("The same unit drifts by +" in one for one in chart.sentences)
+    main(["history", str(tmp_path), "--json", "--no-page"])
+    (of_json, *_) = json.loads(capsys.readouterr().out)["charts"]
+    assert of_json["trend"]["per_day"] == found.per_day
+
+
 def test_a_bench_whose_reference_unit_is_as_always_may_test(tmp_path: Path) -> None:
     checked_daily(tmp_path, STEADY)
     assert check(tmp_path).ok

@@ -46,7 +46,7 @@ class RangeEnd:
     low_95_dps: float
     high_95_dps: float  # nan where the largest rate that was taken is followed
     beyond: Beyond  # what the output does there; empty where nobody went there
-    detail: float  # level of the output, deg/s, bits of a word that wraps, or fringes; else nan
+    detail: float  # bits of a word that wraps, or fringes; else nan
 
 
 @dataclass(frozen=True)
@@ -121,7 +121,10 @@ def input_range(
         else:
             inside = wider
             followed[sense] += 1
-    off, off_u, (k, k_u, b) = _against_line(w, n, u, inside)
+    # the last before an end may be a little short: it is followed, and not in the line
+    counts = {sense: followed[sense] - (_FIRST < followed[sense] < len(of)) for sense, of in stairs.items()}
+    of_line = np.concatenate([place for sense, of in stairs.items() for place in of[: counts[sense]]])
+    off, off_u, (k, k_u, b) = _against_line(w, n, u, of_line)
     spare = NORMAL_95 * off_u
     ends = []
     for sense, of in stairs.items():
@@ -132,13 +135,20 @@ def input_range(
         high = float(sizes[followed[sense] + np.argmax(surely_not)]) if any(surely_not) else float("nan")
         value, detail = float(sizes[followed[sense] - 1]), float("nan")
         beyond: Beyond = ""
-        if followed[sense] < len(of):
-            places = np.concatenate(of[followed[sense] :])
+        for first in (followed[sense] - 1, followed[sense]) if followed[sense] < len(of) else ():
+            places = np.concatenate(of[first:])
             seen, seen_u = sense * (n[places] - b) / k, u[places] / abs(k)
-            beyond, detail = _beyond(np.abs(w[places]), seen, seen_u, value, k, fringe_dps)
-            if beyond == "stands still":
-                value, spread = detail, NORMAL_95 * float(np.hypot(np.std(seen), seen_u.max()))
-                low, high = value - spread, value + spread
+            level = float(np.mean(seen))
+            at_end = value * (1 - _STILL) <= level <= sizes[followed[sense]] * (1 + _STILL)
+            one = np.ptp(seen) <= _STILL_U * np.hypot.reduce(seen_u) + 1e-9 * abs(level)
+            if at_end and one and first + 1 < len(of):
+                # the level is the same whatever the table does: it scatters by noise alone, and K counts
+                spread = NORMAL_95 * float(np.hypot(np.ptp(seen), k_u / k * level))
+                beyond, value, low, high = "stands still", level, level - spread, level + spread
+                break
+        else:
+            if followed[sense] < len(of):
+                beyond, detail = _beyond(float(sizes[followed[sense]]), float(seen[0]), k, fringe_dps)
         ends.append(RangeEnd(value, low, high, beyond, detail))
     return InputRange(k, k_u, b, ends[0], ends[1], w, n, off, off_u, np.isin(np.arange(w.size), inside))
 
@@ -160,19 +170,13 @@ def _against_line(w: Floats, n: Floats, u: Floats, inside: ArrayLike) -> tuple[F
     )  # fmt: skip
 
 
-def _beyond(
-    rate: Floats, seen: Floats, seen_u: Floats, followed_dps: float, k: float, fringe_dps: float
-) -> tuple[Beyond, float]:
-    """What the output does at rates that it does not follow; its level, the bits of its word, or fringes."""
-    level, first = float(np.mean(seen)), float(rate[0])
-    at_end = followed_dps * (1 - _STILL) <= level <= first * (1 + _STILL)
-    if rate[-1] > first and at_end and np.ptp(seen) <= _STILL_U * np.hypot.reduce(seen_u) + 1e-9 * abs(level):
-        return "stands still", level
-    missing = first - float(seen[0])
+def _beyond(rate: float, seen: float, k: float, fringe_dps: float) -> tuple[Beyond, float]:
+    """What the output does at the first rate that it does not follow; fringes, or the bits of its word."""
+    missing = rate - seen
     fringes, bits = missing / fringe_dps, np.log2(max(abs(k * missing), 1.0))
     if round(fringes) and abs(fringes - round(fringes)) < _OF_FRINGE:
         return "settles on another fringe", round(fringes)
-    if missing > first / 2 and abs(2.0 ** (bits - round(bits)) - 1) < _OF_WORD:
+    if missing > rate / 2 and abs(2.0 ** (bits - round(bits)) - 1) < _OF_WORD:
         return "wraps", round(bits)
     return "bends", float("nan")
 

@@ -177,7 +177,7 @@ POINTS = (
     Quantity("rate", "dps", "rate_dps", label="rate, deg/s", form="{:+.8g}"),
     Quantity("mean", "counts", label="mean, counts", form="{:.8g}"),
     Quantity("off", "ppm", "off_ppm", "off_u_ppm", label="off the line, ppm of the rate"),
-    Quantity("followed", label="followed", form="{!s}"),
+    Quantity("followed", label="followed"),
 )
 QUANTITIES = (
     QuantityGroup(NUMBERS),
@@ -202,7 +202,7 @@ def result(found: RangeEvaluation, run: SavedRun, settings: FogSettings) -> Resu
         back = f"within {one.high_95_s:.3g} s"
         if math.isfinite(one.recovery_s):
             back = f"after {one.recovery_s:.3g} s ({one.low_95_s:.3g} to {one.high_95_s:.3g})"
-        lines.append(f"{name}: back {back}, to {1e3 * one.bound_dps:.3g} mdeg/s.")
+        lines.append(f"{name[0].upper()}{name[1:]}: back {back}, to {1e3 * one.bound_dps:.3g} mdeg/s.")
         if abs(one.bias_change_dps) > _SHIFT_U * one.bias_change_u_dps:
             change, u = 3600 * one.bias_change_dps, 3600 * one.bias_change_u_dps
             watched.append(
@@ -308,6 +308,7 @@ def _line(found: RangeEvaluation, settings: FogSettings) -> str:
             axes.axhline(end, color=SOFT, linewidth=0.8, linestyle=(0, (4, 3)))
         axes.set(xlabel="rate of the table, deg/s", ylabel="off the line, ppm of the rate")
         axes.set_yscale("symlog", linthresh=2 * tolerance)
+        axes.margins(y=0.15)
         legend_above(axes, columns=2)
 
     return svg_element("range", WIDE, draw)
@@ -319,6 +320,10 @@ def _back(found: RangeEvaluation) -> str:
         for place, (name, one) in enumerate(found.overloads):
             axes.plot(one.since_s, one.error_dps, ".-", color=(ACCENT, SECOND, INK)[place % 3], ms=4, label=name)
         bound = found.overloads[0][1].bound_dps
+        latest = max(
+            (one.high_95_s for _, one in found.overloads if math.isfinite(one.high_95_s)), default=math.inf
+        )
+        axes.set_xlim(0, min(3 * latest, max(float(one.since_s[-1]) for _, one in found.overloads)))
         for end in (-bound, bound):
             axes.axhline(end, color=SOFT, linewidth=0.8, linestyle=(0, (4, 3)))
         axes.set_yscale("symlog", linthresh=2 * bound)

@@ -173,7 +173,8 @@ def _cells(evaluation: Any, column: Quantity) -> list[str]:
     found = column.values(evaluation)
     values = list(found[column.key()])
     if not column.u:
-        return [column.form.format(value) for value in values]
+        cells = [column.form.format(value) for value in values]
+        return [{"True": "yes", "False": "no"}.get(cell, cell) for cell in cells]
     return [
         with_uncertainty(float(value), float(u)) for value, u in zip(values, found[column.key("u")], strict=True)
     ]

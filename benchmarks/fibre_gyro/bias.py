@@ -232,6 +232,43 @@ def switched_on(seed: int, folder: Path, *, two: bool = False) -> Answers:
     }
 
 
+def warm_up_of_scale(seed: int, folder: Path) -> Answers:
+    """A run whose K dies away exponentially from two switchings on, one in each sense, and its bias too."""
+    rng = np.random.default_rng([seed, 17])
+    recorder = Recorder(folder, rng, 4.0)
+    ppm, tau, bias = rng.choice([-1, 1]) * rng.uniform(30, 300), rng.uniform(60.0, 250.0), rng.uniform(-2, 2)
+    times = (np.arange(1800 * 4) + 0.5) / 4
+    for rate in (0.0, 20.0, -20.0):
+        died = np.exp(-times / tau)
+        recorder.take(VERTICAL + rate * (1 + 1e-6 * ppm * died) + bias / 3600 * died, f"{rate},0")
+    still = np.full(72 * 4, VERTICAL)
+    for rate in (0.0, 20.0, -20.0, 60.0, -60.0, 100.0, -100.0, 0.0):
+        recorder.take(rate + still, f"{rate},")
+    found = recorder.evaluated("figures", "rate_dps,since_on_s", {"figures": {"warm_up_bound_ppm": 10.0}})
+    return {
+        "transient of K": between(found, "scale_factor_transient", "ppm", ppm)
+        if ppm > 0
+        else found["scale_factor_transient_low_95_ppm"] <= ppm <= found["scale_factor_transient_high_95_ppm"],
+        "warm-up of K": between(found, "scale_factor_warm_up", "s", tau * np.log(abs(ppm) / 10)),
+    }
+
+
+def ends_of_range(seed: int, folder: Path) -> Answers:
+    """An output that stands still beyond a rate of its own in each sense, on a table that scatters by 10 ppm."""
+    rng = np.random.default_rng([seed, 19])
+    recorder = Recorder(folder, rng, 10.0)
+    low, high = rng.uniform(65, 125, 2)
+    for size in (20.0, 40.0, 60.0, 80.0, 100.0, 110.0, 120.0, 130.0, 140.0):
+        for rate in (size, -size):
+            true = rate * (1 + 1e-5 * rng.standard_normal()) + VERTICAL
+            recorder.take(np.full(370, np.clip(true, -low, high)), f"{rate}")
+    found = recorder.evaluated("range", "rate_dps", {})
+    return {
+        "positive": between(found, "positive_range", "dps", high - VERTICAL),
+        "negative": between(found, "negative_range", "dps", low + VERTICAL),
+    }
+
+
 CASES: dict[str, Callable[[int, Path], Answers]] = {
     "threshold": threshold,
     "threshold, backlash": lambda seed, folder: threshold(seed, folder, backlash=True),
@@ -243,6 +280,8 @@ CASES: dict[str, Callable[[int, Path], Answers]] = {
     "temperature, instability 0.2 deg/h": lambda seed, folder: temperature(seed, folder, instability_dph=0.2),
     "switched on": switched_on,
     "switched on, two exponentials": lambda seed, folder: switched_on(seed, folder, two=True),
+    "K switched on": warm_up_of_scale,
+    "input range": ends_of_range,
 }
 
 

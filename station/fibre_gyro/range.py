@@ -359,6 +359,7 @@ def named(listed: Sequence[LogRow], settings: FogSettings) -> list[NamedSegment]
             made.append((f"overload {row[OVERLOAD]:+g} deg/s", {OVERLOAD: row[OVERLOAD], "rate_dps": 0.0, **axis}))
         elif row.get("rate_dps"):
             conditions = {"rate_dps": row["rate_dps"], **axis, **table_conditions(row)}
+            conditions.pop("window_s", None)  # whole turns of it are looked for
             made.append((f"{row['rate_dps']:+.10g} deg/s", conditions))
         else:
             raise UsageError(f"{row['place']}: give the rate that is not 0, or {OVERLOAD}")

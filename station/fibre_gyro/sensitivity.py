@@ -180,7 +180,9 @@ NUMBERS = (
         optional=True, doc="largest change from the reference",
     ),
     Quantity("tumble_scale_factor", "counts_per_dps", "tumble.slope", u=True, trend=True),
-    Quantity("tumble_bias", "dph", _in_dph("intercept"), _in_dph("intercept_u"), trend=True),
+    Quantity(
+        "tumble_bias", "dph", _in_dph("intercept"), _in_dph("intercept_u"), limit=True, optional=True, trend=True
+    ),
 )  # fmt: skip
 LEVELS = (
     Quantity("stimulus", of="level", label="stimulus", form="{:g}"),

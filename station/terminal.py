@@ -12,8 +12,10 @@ import re
 import select
 import sys
 import tempfile
+import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
+from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, Self
 
 from station.errors import Failure, UsageError
@@ -322,6 +324,31 @@ WIRING = """\
 """How the bench is wired, for a prompt."""
 
 
+ANSWERS_VARIABLE = "GYROLOCK_ANSWERS"
+"""Names a file in the environment: lines that another program appends to it are the operator's answers."""
+
+_ANSWER_EVERY_S = 0.1
+_answers_read = 0
+
+
+def _answered(file: Path, question: str) -> str:
+    """Wait for the next line of a file of answers; meanwhile the question stands in ``question`` beside it."""
+    global _answers_read
+    asked = file.with_name("question")
+    asked.write_text(question, encoding="utf-8")
+    try:
+        while True:
+            with file.open("rb") as lines:
+                lines.seek(_answers_read)
+                line = lines.readline()
+            if line.endswith(b"\n"):
+                _answers_read += len(line)
+                return line.decode("utf-8", "replace")
+            time.sleep(_ANSWER_EVERY_S)
+    finally:
+        asked.unlink(missing_ok=True)
+
+
 def ask_operator(question: str) -> str:
     """Ask on stderr, since stdout belongs to the result."""
     check_terminal()
@@ -329,7 +356,8 @@ def ask_operator(question: str) -> str:
         with free_terminal(question):
             sys.stderr.write(f"\n{visible(question)}")
             sys.stderr.flush()
-            answer = sys.stdin.readline()
+            answers = os.environ.get(ANSWERS_VARIABLE)
+            answer = _answered(Path(answers), question) if answers else sys.stdin.readline()
     except (OSError, ValueError):
         answer = ""
     if not answer:
@@ -339,7 +367,7 @@ def ask_operator(question: str) -> str:
 
 def ask_number(question: str, missing: str, default: str = "") -> float:
     """Ask for a positive number until one is typed; Enter means the default."""
-    if not sys.stdin.isatty():
+    if not somebody_answers():
         raise UsageError(missing)
     asked = question
     while True:
@@ -352,13 +380,17 @@ def ask_number(question: str, missing: str, default: str = "") -> float:
         asked = f"That is not a positive number. {question}"
 
 
+def somebody_answers() -> bool:
+    """Whether there is a terminal, or a program that appends answers."""
+    try:
+        return bool(os.environ.get(ANSWERS_VARIABLE)) or (sys.stdin is not None and sys.stdin.isatty())
+    except ValueError:  # it is closed
+        return False
+
+
 def check_terminal() -> None:
     """See that there is somebody to ask, before anything moves; UsageError if there is not."""
-    try:
-        there = sys.stdin is not None and sys.stdin.isatty()
-    except ValueError:  # it is closed
-        there = False
-    if not there:
+    if not somebody_answers():
         raise UsageError(
             "an operator must turn the table and the gyro, and there is no terminal to ask on: start it in a "
             "terminal"

@@ -56,6 +56,7 @@ class Browser:
         os.close(to_read)
         os.close(to_write)
         self._numbers, self._buffer = itertools.count(1), b""
+        self.troubles: list[dict[str, Any]] = []
         targets = self._ask("Target.getTargets")["targetInfos"]
         page = next(one["targetId"] for one in targets if one["type"] == "page")
         self._session = self._ask("Target.attachToTarget", targetId=page, flatten=True)["sessionId"]
@@ -91,6 +92,23 @@ class Browser:
         self.ask("Page.navigate", url=path.absolute().as_uri())
         while self._next().get("method") != "Page.loadEventFired":
             pass
+
+    def visit(self, url: str, *, width: int = 1200, height: int = 900, dark: bool = False) -> None:
+        """Show a page of a server, with its scripts; what goes wrong in them is kept in `troubles`."""
+        for domain in ("Runtime", "Log"):
+            self.ask(f"{domain}.enable")
+        self.resize(width, height, dark=dark)
+        self.ask("Page.navigate", url=url)
+        while self._next().get("method") != "Page.loadEventFired":
+            pass
+
+    def resize(self, width: int, height: int, *, dark: bool = False) -> None:
+        """Change the size of the screen."""
+        self.ask(
+            "Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=False
+        )
+        scheme = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
+        self.ask("Emulation.setEmulatedMedia", features=[scheme])
 
     def say(self, expression: str) -> Any:
         """Return what an expression of JavaScript gives in the page."""
@@ -128,4 +146,6 @@ class Browser:
             self._buffer += piece
         message, _, self._buffer = self._buffer.partition(b"\0")
         found: dict[str, Any] = json.loads(message)
+        if found.get("method") in ("Runtime.exceptionThrown", "Log.entryAdded"):
+            self.troubles.append(found["params"])
         return found

@@ -33,7 +33,7 @@ from analysis.fibre_gyro.injection import (
     steps_beyond_dac,
     superposed_numbers,
 )
-from analysis.fibre_gyro.input_range import InputRange, RangeEnd, Recovery, input_range, recovery
+from analysis.fibre_gyro.largest_rate import InputRange, RangeEnd, Recovery, input_range, recovery
 from analysis.fibre_gyro.loop import ClosedLoop, Kernel, LoopDesign, LoopTrace, OutputBlock, OutputModel
 from analysis.fibre_gyro.loop.design import FibreCoil
 from analysis.fibre_gyro.noise_terms import (

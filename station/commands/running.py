@@ -1,17 +1,20 @@
-"""``gyrolock status`` and ``gyrolock stop``: measurements that run on this machine, from any other shell."""
+"""``gyrolock status``, ``stop`` and ``panel``: measurements on this machine, from another shell or a browser."""
 
 from __future__ import annotations
 
+import socket
 import sys
 import time
+import webbrowser
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from station.errors import EXIT_FAIL, EXIT_OK, UsageError
+from station.errors import EXIT_FAIL, EXIT_OK, CannotWrite, UsageError
 from station.shell.options import json_option, unused_config_option
-from station.terminal import print_json, say
+from station.terminal import print_json, remark, say
 
 if TYPE_CHECKING:
     from station.live.status import Running
@@ -166,3 +169,98 @@ def _still_there(chosen: list[Running], wait_s: float) -> list[Running]:
         if not left or time.monotonic() >= until:
             return left
         time.sleep(_ASK_EVERY_S)
+
+
+# --------------------
+# ``gyrolock panel``: the same in a browser
+
+
+_CONNECTIONS = 2000  # of browsers, those that say nothing included
+
+
+@click.command("panel")
+@click.argument("directory", type=click.Path(path_type=Path), default=".", metavar="[DIR]")
+@click.option("--port", type=click.IntRange(0, 65535), default=8765, metavar="N", help="TCP port [8765]; 0: any.")
+@click.option("--host", default="127.0.0.1", metavar="NAME", help="Address to listen on [127.0.0.1].")
+@click.option("--open", "opened", is_flag=True, help="Open it in the browser.")
+@unused_config_option
+@json_option
+def panel(directory: Path, port: int, host: str, opened: bool, as_json: bool) -> int:
+    """Show and measure in a browser: the runs, campaigns and screens of DIR [.].
+
+    Measurements are processes of their own: they go on when the page or the panel is closed. Who has the second
+    address can only look on. Ctrl-C ends the panel. Needs `pip install gyrolock[panel]`.
+    """
+    try:
+        import uvicorn
+
+        from station.panel import server
+    except ImportError as error:
+        raise UsageError(f"the panel needs {error.name}: pip install 'gyrolock[panel]'") from None
+    from station.panel.guard import PanelGuard, tokens_of
+    from station.panel.jobs import FOLDER, Jobs
+
+    root = directory.resolve()
+    if not root.is_dir():
+        raise UsageError(f"{directory}: there is no such folder")
+    try:
+        tokens = tokens_of(root / FOLDER)
+    except OSError as error:
+        raise CannotWrite(f"{root / FOLDER}: {error.strerror}") from None
+    listening = _listening(host, port)
+    at = listening.getsockname()[1]
+    local = host in ("127.0.0.1", "localhost", "::1")
+    names = {host, "127.0.0.1", "localhost", "::1"} | (
+        set() if local else {socket.gethostname(), socket.getfqdn()}
+    )
+    if not local:
+        with suppress(OSError):
+            names |= {str(one[4][0]) for one in socket.getaddrinfo(socket.gethostname(), None)}
+    shown = socket.gethostname() if host in ("0.0.0.0", "::") else host
+    to_control, to_look = (server.address(shown, at, tokens[role]) for role in ("control", "look"))
+    if as_json:
+        print_json({"control": to_control, "look": to_look, "folder": str(root)})
+    else:
+        say(f"panel    {to_control}", answer=True)
+        say(f"look on  {to_look}")
+    if not local:
+        remark(f"the panel listens on {host}: whoever has the address can use it, and nothing of it is encrypted")
+    if opened:
+        webbrowser.open(to_control)
+    app = server.create_app(
+        server.OpenPanel(root, PanelGuard(frozenset(names), tokens, f"gyrolock-{at}"), Jobs(root))
+    )
+    config = uvicorn.Config(
+        app, log_level="critical", access_log=False, timeout_keep_alive=10, timeout_graceful_shutdown=1,
+        limit_concurrency=_CONNECTIONS, server_header=False,
+    )  # fmt: skip
+    with suppress(KeyboardInterrupt):
+        uvicorn.Server(config).run(sockets=[listening])
+    return EXIT_OK
+
+
+def _listening(host: str, port: int) -> socket.socket:
+    """A socket that listens; UsageError where it cannot."""
+    _as_many_files_as_allowed()
+    try:
+        family = socket.AF_INET6 if ":" in host else socket.AF_INET
+        made = socket.socket(family, socket.SOCK_STREAM)
+        if sys.platform != "win32":
+            made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        made.bind((host, port))
+        made.listen(128)
+    except OSError as error:
+        raise UsageError(
+            f"port {port} of {host} cannot be listened on ({error.strerror or error}): another panel may run; "
+            "give another one with --port"
+        ) from None
+    return made
+
+
+def _as_many_files_as_allowed() -> None:
+    """Let silent connections not use up the files that measurements need."""
+    with suppress(ImportError, OSError, ValueError):
+        import resource
+
+        _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
+        resource.setrlimit(resource.RLIMIT_NOFILE, (min(most, 65_536) if most > 0 else 65_536, most))

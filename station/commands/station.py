@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import shlex
 import subprocess
-import sys
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -116,9 +115,9 @@ def _loop(file: Path, given: dict[str, Any]) -> int:
 
 def _asked_unit() -> str:
     """Ask for the serial number; UsageError where there is nobody to ask."""
-    from station.terminal import ask_operator
+    from station.terminal import ask_operator, somebody_answers
 
-    if not sys.stdin or not sys.stdin.isatty():
+    if not somebody_answers():
         raise UsageError("which unit is tested? Give its serial number: --unit SN")
     while not (unit := ask_operator("Serial number of the unit under test (read it from its label): ").strip()):
         pass
@@ -190,9 +189,9 @@ def _check_bench(plan: CampaignPlan) -> None:
 
 def _ask_for_unit(plan: CampaignPlan) -> None:
     """Let the operator bring the unit to the bench; UsageError where there is nobody."""
-    from station.terminal import WIRING, ask_operator
+    from station.terminal import WIRING, ask_operator, somebody_answers
 
-    if not sys.stdin or not sys.stdin.isatty():
+    if not somebody_answers():
         raise UsageError(
             "campaign.ask_for_unit: an operator is to connect the unit, and there is no terminal to ask on"
         )

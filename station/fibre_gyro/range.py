@@ -1,7 +1,7 @@
 """Input range: the largest rate that the output follows in each sense, and how it comes back from an overload.
 
 The table turns at larger and larger rates; in an overload it turns faster than the gyro can follow and stops, in
-the middle of one log that has the angle of the table in it. Equations: `analysis.fibre_gyro.input_range`.
+the middle of one log that has the angle of the table in it. Equations: `analysis.fibre_gyro.largest_rate`.
 """
 
 from __future__ import annotations

@@ -1,0 +1,521 @@
+"""The pages of the panel, and what their buttons do: each does what a command does.
+
+A page is made here in the language of its reader and works without a script. With one, what is shown of a running
+measurement is made anew as its events come (server-sent events, whose ids are the counters of the events): who was
+away gets how things stand, and goes on from there.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import functools
+import json
+import re
+import subprocess
+import time
+import tomllib
+from collections.abc import AsyncIterator, Callable, Mapping, Sequence
+from contextlib import asynccontextmanager, suppress
+from dataclasses import dataclass, field
+from html import escape
+from importlib.metadata import version
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+from urllib.parse import quote, unquote
+
+from jinja2 import Environment, FileSystemLoader
+from starlette.applications import Starlette
+from starlette.concurrency import run_in_threadpool
+from starlette.datastructures import QueryParams
+from starlette.requests import Request
+from starlette.responses import FileResponse, HTMLResponse, RedirectResponse, Response, StreamingResponse
+from starlette.routing import Mount, Route
+from starlette.staticfiles import StaticFiles
+
+from station.campaign.journal import PAGE_FILE
+from station.catalogue import RunFilter, chosen, list_runs, write_trend
+from station.errors import StationError, UsageError, one_line
+from station.live.status import running_programs
+from station.panel.forms import FormField, checked, form_of, kind_of, measurements, settings_text
+from station.panel.guard import OF_FILES, GuardedApp, PanelGuard
+from station.panel.jobs import Job, Jobs, command_line, said_by
+from station.plan import duration_words, predict
+from station.runs.store import REPORT_FILE
+
+PAGE, NAME = Path(__file__).with_name("page"), "gyrolock-name"
+LOOK_S = 0.1  # between two looks at what a measurement has told
+_VIEW_S = 0.5  # between two views of one measurement, made for all its readers
+_KEEP_S = 15.0  # after so long without news a reader gets a line that says nothing
+_RUNS_KEPT_S = 2.0  # for so long a list of runs holds
+_ROWS = 100
+_SHOWN = {".html", ".png", ".svg", ".csv", ".json", ".xml", ".txt"}
+_SEVERAL = re.compile(r"[;,\s]+")
+
+
+@functools.cache
+def words(language: str) -> dict[str, str]:
+    """Return the words of a language."""
+    return dict(tomllib.loads((PAGE / f"{language}.toml").read_text(encoding="utf-8")))
+
+
+@functools.cache
+def languages() -> tuple[str, ...]:
+    """Return the languages that there are words of; English first."""
+    return tuple(sorted((path.stem for path in PAGE.glob("*.toml")), key=lambda one: (one != "en", one)))
+
+
+@dataclass
+class OpenPanel:
+    """What all pages share."""
+
+    root: Path
+    guard: PanelGuard
+    jobs: Jobs
+    served: subprocess.Popen[str] | None = None  # the simulated oscilloscope for other programs
+    served_as: str = ""
+    runs_at: float = -_RUNS_KEPT_S
+    runs: Sequence[Any] = ()
+    views: dict[tuple[str, str], tuple[tuple[int, bool, str], float, str]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self.pages = Environment(
+            loader=FileSystemLoader(PAGE), autoescape=True, trim_blocks=True, lstrip_blocks=True
+        )
+
+        self.pages.filters["named"] = lambda key: FormField(key, "", "", "text").name
+
+    def inside(self, named: str) -> Path:
+        """Return a path in the panel's folder; UsageError for one that is not."""
+        path = (self.root / named).resolve()
+        if not path.is_relative_to(self.root.resolve()) or any(one.startswith(".") for one in Path(named).parts):
+            raise UsageError(f"{named}: is not in the folder of the panel")
+        return path
+
+    def listed(self) -> Sequence[Any]:
+        """All runs of the folder, the newest first; looked for anew after a while."""
+        if time.monotonic() - self.runs_at > _RUNS_KEPT_S:
+            self.runs = list(reversed(list_runs(self.root)))
+            self.runs_at = time.monotonic()
+        return self.runs
+
+    def _page_of(self, job: Job) -> str:
+        """The record of a test, or the report of a run, from the panel's folder; empty where there is none."""
+        run = Path(job.run or "-")
+        for path in (run.parent.parent / PAGE_FILE, run / REPORT_FILE):
+            with suppress(ValueError):
+                if (self.root / path).is_file():
+                    return (self.root / path).resolve().relative_to(self.root.resolve()).as_posix()
+        return ""
+
+    def view(self, job: Job, language: str) -> str:
+        """How a measurement stands, as HTML; made at most twice a second for all readers."""
+        key, stands = (job.name, language), (job.counter, self.jobs.alive(job), job.question)
+        made, now = self.views.get(key), time.monotonic()
+        if made is None or (made[0] != stands and now - made[1] >= _VIEW_S):
+            result: dict[str, Any] = {}
+            if job.ended:
+                with suppress(OSError, ValueError):
+                    result = json.loads((job.folder / "result.json").read_text(encoding="utf-8"))
+            text = self.pages.get_template("live.html.j2").render(
+                w=words(language), job=job, s=job.situation, alive=stands[1], said=result,
+                duration=duration_words, page=self._page_of(job),
+            )  # fmt: skip
+            made = self.views[key] = stands, now, text
+        return made[2]
+
+
+def create_app(panel: OpenPanel) -> GuardedApp:
+    """Return the app."""
+    actions: dict[str, Callable[[OpenPanel, Request, QueryParams], Response]] = {
+        "/measure/{name}": _measure,
+        "/station": _station,
+        "/job/{name}/{what}": _on_job,
+        "/runs/{what}": _on_runs,
+        "/bench/{what}": _on_bench,
+        "/control/{what}": _control,
+    }
+    looks: dict[str, Callable[[OpenPanel, Request], Response]] = {
+        "/": _now,
+        "/measure": lambda panel, request: RedirectResponse("/measure/measure", 303),
+        "/measure/{name}": _form,
+        "/station": _station_page,
+        "/runs": _runs_page,
+        "/runs/trend.svg": _trend,
+        "/bench": _bench_page,
+        "/file/{path:path}": _file,
+        "/language/{code}": _language,
+    }
+    routes = [
+        Route("/events", functools.partial(_events, panel)),
+        Mount("/static", StaticFiles(directory=PAGE)),
+        *(Route(path, functools.partial(_answer, panel, page), methods=["GET"]) for path, page in looks.items()),
+        *(Route(path, functools.partial(_act, panel, do), methods=["POST"]) for path, do in actions.items()),
+    ]
+
+    @asynccontextmanager
+    async def lifetime(_: Starlette) -> AsyncIterator[None]:
+        yield
+        if panel.served is not None:
+            panel.served.terminate()
+
+    return GuardedApp(Starlette(routes=routes, lifespan=lifetime), panel.guard)
+
+
+async def _answer(panel: OpenPanel, page: Callable[[OpenPanel, Request], Response], request: Request) -> Response:
+    """Show a page; what is wrong with what was asked for is one line of it."""
+    try:
+        return await run_in_threadpool(page, panel, request)
+    except StationError as error:
+        return _page(panel, request, "message", said=one_line(error), status=400)
+
+
+async def _act(panel: OpenPanel, action: Callable[..., Response], request: Request) -> Response:
+    """Do what a button says, if this browser holds the control or nobody does."""
+    lease = panel.guard.lease
+    try:
+        form = QueryParams((await request.body()).decode("utf-8", "replace"))
+        name = form.get("name", "").strip()[:60] or unquote(request.cookies.get(NAME, ""))
+        if not request.url.path.startswith("/control/") and not lease.take(request.state.client, name):
+            said = _words(request)["lease_gone"].format(lease.holder())
+            return _page(panel, request, "message", said=said, status=409)
+        answer = await run_in_threadpool(action, panel, request, form)
+        if name:
+            answer.set_cookie(NAME, quote(name), samesite="strict", max_age=31_536_000)
+        return answer
+    except StationError as error:
+        return _page(panel, request, "message", said=one_line(error), status=400)
+
+
+def _words(request: Request) -> dict[str, str]:
+    return words(_language_of(request))
+
+
+def _language_of(request: Request) -> str:
+    """What the reader chose, else what the browser would like."""
+    wished = [request.cookies.get("gyrolock-language", "")]
+    wished += [one.partition(";")[0].strip()[:2] for one in request.headers.get("accept-language", "").split(",")]
+    return next((one for one in wished if one in languages()), "en")
+
+
+def _page(panel: OpenPanel, request: Request, page: str, *, status: int = 200, **more: Any) -> Response:
+    language, lease = _language_of(request), panel.guard.lease
+    holds = bool(lease.holder()) and lease.client == request.state.client
+    text = panel.pages.get_template("panel.html.j2").render(
+        w=words(language), language=language, page=page, panel=panel, role=request.state.role, holds=holds,
+        holder=lease.holder(), asked_by=lease.asked_by if holds else "",
+        my_name=unquote(request.cookies.get(NAME, "")),
+        languages=[(one, words(one)["language"]) for one in languages()], version=version("gyrolock"), **more,
+    )  # fmt: skip
+    return HTMLResponse(text, status)
+
+
+# --------------------
+# What is measured now, and its events
+
+
+def _now(panel: OpenPanel, request: Request) -> Response:
+    jobs = panel.jobs.all()
+    named = request.query_params.get("job", "")
+    job = next((one for one in jobs if one.name == named), None) or next(
+        (one for one in jobs if panel.jobs.alive(one)), jobs[0] if jobs else None
+    )
+    started = {one.situation.program.get("pid") for one in jobs}
+    others = [one for one in running_programs() if one.alive and one.pid not in started]
+    view = panel.view(job, _language_of(request)) if job else ""
+    return _page(
+        panel, request, "now", job=job, view=view, others=others,
+        jobs=[(one, panel.jobs.alive(one)) for one in jobs[:12]], alive=job is not None and panel.jobs.alive(job),
+    )  # fmt: skip
+
+
+async def _events(panel: OpenPanel, request: Request) -> Response:
+    """Views and records of one measurement, from a counter on: what is gone is told as it stands now."""
+    try:
+        job = await run_in_threadpool(panel.jobs.job, request.query_params.get("job", ""))
+    except UsageError as error:
+        return Response(f"{error}\n", 404, media_type="text/plain")
+    language = _language_of(request)
+
+    async def told() -> AsyncIterator[str]:
+        trace, before, spoke = None, ("", ("", "")), time.monotonic()
+        yield "retry: 1000\n\n"
+        while True:
+            alive = await run_in_threadpool(_read, panel, job)
+            control = panel.guard.lease.holder(), panel.guard.lease.asked_by
+            view = panel.view(job, language)
+            news: dict[str, Any] = {}
+            if view != before[0]:
+                news["view"] = view
+            if (drawn := job.situation.value.get("trace")) and drawn is not trace:
+                news["trace"], trace = {**drawn, "key": job.situation.value.get("key", "")}, drawn
+            if control != before[1]:
+                news["holder"], news["asked_by"] = control
+            if news:
+                news |= {"alive": alive, "question": job.question, "cut_short": job.cut_short}
+                before, spoke = (view, control), time.monotonic()
+                yield f"id: {job.counter}\ndata: {json.dumps(news)}\n\n"
+            elif time.monotonic() - spoke > _KEEP_S:
+                spoke = time.monotonic()
+                yield ": \n\n"
+            if not alive and job.ended and not news:
+                await asyncio.sleep(1.0)
+            await asyncio.sleep(LOOK_S)
+
+    return StreamingResponse(told(), media_type="text/event-stream", headers={"x-accel-buffering": "no"})
+
+
+def _read(panel: OpenPanel, job: Job) -> bool:
+    """Take what a measurement has told meanwhile; whether it still runs."""
+    if not job.ended:
+        panel.jobs.read(job)
+    return panel.jobs.alive(job)
+
+
+def _on_job(panel: OpenPanel, request: Request, form: QueryParams) -> Response:
+    job, what = panel.jobs.job(request.path_params["name"]), request.path_params["what"]
+    if what == "stop":
+        panel.jobs.stop(job)
+    elif what == "answer":
+        job.answer(str(form.get("answer", "")))
+    elif what == "resume":
+        job = panel.jobs.resume(job)
+    elif what == "repeat":
+        job = panel.jobs.repeat(job)
+    elif what == "report":
+        _run_said(panel, ["report", job.run])
+    else:
+        raise UsageError(_words(request)["no_such_page"])
+    return RedirectResponse(f"/?job={job.name}", 303)
+
+
+def _run_said(panel: OpenPanel, given: Sequence[str]) -> str:
+    """Run a command to its end and return what it said; UsageError where it failed."""
+    code, said = said_by(given, panel.root)
+    if code in (2, 3, 5, 70):
+        raise UsageError(said.splitlines()[-1].removeprefix("gyrolock: ") if said else f"exit code {code}")
+    return said
+
+
+# --------------------
+# Measure: a form of the settings
+
+
+def _form(panel: OpenPanel, request: Request, form: Mapping[str, Any] | None = None) -> Response:
+    name = request.path_params["name"]
+    kind = kind_of(name)
+    given = {place: str(text) for place, text in (form or {}).items()}
+    real = given.get("real", request.query_params.get("real", "")) == "1"
+    sections = form_of(name, real=real)
+    text = settings_text(sections, given)
+    more: dict[str, Any] = {"mistakes": {}, "prediction": None}
+    if form is not None:
+        with TemporaryDirectory() as folder:
+            file = Path(folder) / "settings.toml"
+            file.write_text(text, encoding="utf-8")
+            settings, wrong = checked(name, file)
+        places = [one.place for section in sections for one in section.fields]
+        for place, said in wrong.items():
+            field_of = max((one for one in places if place.startswith(one)), key=len, default="")
+            more["mistakes"][field_of] = said if field_of else f"{place}: {said}".removeprefix(": ")
+        if settings is not None:
+            more["prediction"] = predict(name, settings.model_dump(mode="json"))
+    return _page(
+        panel, request, "measure", name=name, title=kind.title, kinds=measurements(), sections=sections,
+        given=given, text=text, real=real, has_real=form_of(name, real=True) != form_of(name),
+        duration=duration_words, **more,
+    )  # fmt: skip
+
+
+def _measure(panel: OpenPanel, request: Request, form: QueryParams) -> Response:
+    name, given = request.path_params["name"], {place: str(text) for place, text in form.items()}
+    kind = kind_of(name)
+    sections = form_of(name, real=given.get("real") == "1")
+    text = settings_text(sections, given)
+    with TemporaryDirectory() as folder:
+        file = Path(folder) / "settings.toml"
+        file.write_text(text, encoding="utf-8")
+        settings, _ = checked(name, file)
+    if given.get("do") != "begin" or settings is None:
+        return _form(panel, request, given)
+    labels = [(f"--{one}", given.get(one, "").strip()) for one in ("unit", "operator", "note")]
+    begun = [*kind.command.split()[1:], *(word for pair in labels if pair[1] for word in pair)]
+    return RedirectResponse(f"/?job={panel.jobs.start(begun, text).name}", 303)
+
+
+# --------------------
+# Station: a unit against the limits of a campaign
+
+
+def _station_page(panel: OpenPanel, request: Request) -> Response:
+    files = []
+    for path in sorted(panel.root.glob("*.toml")):
+        with suppress(OSError, ValueError):
+            if "[[step]]" in path.read_text(encoding="utf-8"):
+                files.append(path.name)
+    jobs = [one for one in panel.jobs.all() if one.words[:1] == ["station"]]
+    job = jobs[0] if jobs else None
+    view = panel.view(job, _language_of(request)) if job else ""
+    return _page(
+        panel, request, "station", files=files, file=request.query_params.get("file", files[0] if files else ""),
+        job=job, view=view, alive=job is not None and panel.jobs.alive(job),
+    )  # fmt: skip
+
+
+def _station(panel: OpenPanel, request: Request, form: QueryParams) -> Response:
+    file, unit = str(form.get("file", "")).strip(), str(form.get("unit", "")).strip()
+    if not unit:
+        return RedirectResponse("/station", 303)
+    if not panel.inside(file).is_file():
+        raise UsageError(f"{file}: there is no such campaign file")
+    if any(panel.jobs.alive(one) for one in panel.jobs.all() if one.words[:1] == ["station"]):
+        raise UsageError("a unit is still tested")
+    operator = str(form.get("operator", "")).strip()
+    panel.jobs.start(["station", file, "--unit", unit, *(["--operator", operator] if operator else [])])
+    return RedirectResponse(f"/station?file={file}", 303)
+
+
+# --------------------
+# Runs: which there are, remarks on them, two side by side, their numbers over time
+
+
+def _wanted(request: Request) -> RunFilter:
+    asked = request.query_params
+    return RunFilter(verdict=asked.get("verdict", ""), since=asked.get("since", ""))
+
+
+def _found(panel: OpenPanel, request: Request) -> list[Any]:
+    text = request.query_params.get("q", "").casefold().split()
+    found = chosen(panel.listed(), _wanted(request))
+
+    def says(entry: Any) -> str:
+        told = (entry.unit, entry.command, entry.operator, entry.note, entry.gyro, entry.run, *entry.tags)
+        return " ".join(
+            [*(one or "" for one in told), *(str(one.get("note", "")) for one in entry.remarks)]
+        ).casefold()
+
+    return [one for one in found if all(word in says(one) for word in text)] if text else found
+
+
+def _runs_page(panel: OpenPanel, request: Request, said: str = "") -> Response:
+    found = _found(panel, request)
+    with suppress(ValueError):
+        first = max(0, int(request.query_params.get("from", "0")))
+    rows = []
+    for one in found[first : first + _ROWS]:
+        folder = Path(one.run).parent.relative_to(panel.root).as_posix()
+        rows.append((one, folder, (panel.root / folder / REPORT_FILE).is_file()))
+    asked = {name: request.query_params.get(name, "") for name in ("q", "verdict", "since")}
+    return _page(
+        panel, request, "runs", rows=rows, count=len(found), first=first, rows_a_page=_ROWS, asked=asked, said=said
+    )
+
+
+def _trend(panel: OpenPanel, request: Request) -> Response:
+    with TemporaryDirectory() as folder:
+        file = Path(folder) / "trend.svg"
+        write_trend(file, list(reversed(_found(panel, request))))
+        return Response(
+            file.read_bytes(), media_type="image/svg+xml", headers={"content-security-policy": OF_FILES}
+        )
+
+
+def _on_runs(panel: OpenPanel, request: Request, form: QueryParams) -> Response:
+    what, runs = request.path_params["what"], [str(one) for one in form.getlist("run")]
+    for one in runs:
+        panel.inside(one)
+    if not runs:
+        return RedirectResponse("/runs", 303)
+    said = ""
+    if what == "note":
+        note = str(form.get("note", "")).strip()
+        tags = [part for tag in _SEVERAL.split(str(form.get("tag", ""))) if tag for part in ("--tag", tag)]
+        _run_said(panel, ["annotate", *runs, *(["--note", note] if note else []), *tags])
+    elif what == "compare":
+        said = _run_said(panel, ["compare", *runs[:2]])
+    elif what == "export":
+        file = str(form.get("file", "")).strip()
+        panel.inside(file)
+        said = _run_said(panel, ["export", *runs, "--to", file])
+    elif what == "report":
+        _run_said(panel, ["report", *runs])
+    else:
+        raise UsageError(_words(request)["no_such_page"])
+    panel.runs_at = -_RUNS_KEPT_S
+    return _runs_page(panel, request, said) if said else RedirectResponse("/runs", 303)
+
+
+def _file(panel: OpenPanel, request: Request) -> Response:
+    """A report or another file of the folder, without scripts."""
+    path = panel.inside(request.path_params["path"])
+    if path.suffix not in _SHOWN or not path.is_file():
+        raise UsageError(_words(request)["no_such_page"])
+    return FileResponse(path, headers={"content-security-policy": OF_FILES})
+
+
+# --------------------
+# Bench: instruments, the installation, the screen, the simulated oscilloscope
+
+
+def _bench_page(panel: OpenPanel, request: Request, said: str = "", picture: str = "") -> Response:
+    if panel.served is not None and panel.served.poll() is not None:
+        panel.served, panel.served_as = None, ""
+    return _page(panel, request, "bench", said=said, picture=picture, served_as=panel.served_as)
+
+
+def _on_bench(panel: OpenPanel, request: Request, form: QueryParams) -> Response:
+    what, resource = request.path_params["what"], str(form.get("resource", "")).strip()
+    if what in ("list", "doctor"):
+        return _bench_page(panel, request, said_by([what], panel.root)[1])
+    if what == "grab":
+        folder = f"screens/{time.strftime('%Y-%m-%dT%H%M%S', time.gmtime())}"
+        given = ["grab", *(["--resource", resource] if resource else []), "--to", folder]
+        said = _run_said(panel, given)
+        picture = next((panel.root / folder).rglob("*.png"), None) if (panel.root / folder).is_dir() else None
+        shown = picture.relative_to(panel.root).as_posix() if picture else ""
+        return _bench_page(panel, request, said, shown)
+    if what == "serve" and panel.served is None:
+        panel.served = subprocess.Popen(
+            command_line(["simulate", "--tcp", "0"]), cwd=panel.root, text=True,
+            stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
+        )  # fmt: skip
+        panel.served_as = panel.served.stdout.readline().strip() if panel.served.stdout else ""
+    elif what == "end" and panel.served is not None:
+        panel.served.terminate()
+        panel.served.wait(10)
+    return RedirectResponse("/bench", 303)
+
+
+# --------------------
+# Who holds the control, and in which language it is read
+
+
+def _control(panel: OpenPanel, request: Request, form: QueryParams) -> Response:
+    lease, what, client = panel.guard.lease, request.path_params["what"], request.state.client
+    name = (form.get("name", "").strip() or unquote(request.cookies.get(NAME, "")) or client[:4])[:60]
+    if what == "take":
+        lease.take(client, name)
+    elif what == "keep":
+        if lease.holder() and lease.client == client:
+            lease.take(client, "")
+        return Response(status_code=204)
+    elif what == "give":
+        lease.give(client)
+    elif what == "ask":
+        lease.asked_by = name
+    back = request.headers.get("referer", "/")
+    return RedirectResponse(back if back.startswith(str(request.base_url)) else "/", 303)
+
+
+def _language(panel: OpenPanel, request: Request) -> Response:
+    code = request.path_params["code"]
+    back = request.headers.get("referer", "/")
+    answer = RedirectResponse(back if back.startswith(str(request.base_url)) else "/", 303)
+    if code in languages():
+        answer.set_cookie("gyrolock-language", code, samesite="strict", max_age=31_536_000)
+    return answer
+
+
+def address(host: str, port: int, token: str) -> str:
+    """Return the address of the panel."""
+    return f"http://{f'[{host}]' if ':' in host else host}:{port}/?token={escape(token)}"

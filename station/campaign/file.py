@@ -350,6 +350,7 @@ class CampaignSection(SettingsSection):
     stop_after_failure: bool = False
     on_record: str = ""
     ask_for_unit: bool = False
+    picture: str = ""  # for who is asked in the panel
 
 
 class ReferenceSection(SettingsSection):

@@ -81,12 +81,14 @@ def form_of(name: str, *, real: bool = False) -> list[FormSection]:
     """Return the sections that a measurement has, its own first."""
     kind = kind_of(name).kind
     file = shipped_settings(kind.shipped(REAL if real else {}))
-    found: dict[str, list[FormField]] = {}
+    found: dict[str, dict[str, FormField]] = {}
     for section, field in _fields(file, kind.model):
-        found.setdefault(section, []).append(field)
+        before = found.setdefault(section, {}).get(field.place)
+        if before is None or field.default:  # in comments a setting may stand as an example
+            found[section][field.place] = field
     # of settings that several measurements share, the sections of the others are of no use
     others = {one for one in MEASUREMENTS if measurement(one).kind is kind and one not in (name, "table")}
-    sections = [FormSection(one, tuple(fields)) for one, fields in found.items() if one not in others]
+    sections = [FormSection(one, tuple(fields.values())) for one, fields in found.items() if one not in others]
     return sorted(sections, key=lambda one: one.name != name)
 
 
@@ -120,9 +122,13 @@ def _field(section: str, key: str, text: str, model: type[BaseModel], *, stated:
         return None
     annotation = inside.model_fields[key].annotation
     choices = tuple(map(str, _literals(annotation)))
-    kind: Kind = "choice" if choices else "switch" if isinstance(value, bool) else "text"
+    if choices and re.search(r"\bbool\b", str(annotation)):
+        choices += ("true", "false")
+    kind: Kind = "switch" if isinstance(value, bool) else "text"
     if isinstance(value, list) or re.search(r"(list|tuple)\[", str(annotation)):
         kind = "list"
+    elif choices and not isinstance(value, bool) and not re.search(r"\b(int|float|str)\b", str(annotation)):
+        kind = "choice"
     return FormField(f"{section}.{key}", _typed(value) if stated else "", "", kind, choices)
 
 
@@ -159,7 +165,7 @@ def settings_text(sections: list[FormSection], given: Mapping[str, str]) -> str:
 def _literal(field: FormField, text: str) -> str:
     if field.kind == "list" and text not in field.choices:
         return f"[{', '.join(_scalar(one.strip()) for one in text.strip('[]').split(',') if one.strip())}]"
-    return text if field.kind == "switch" and text in ("true", "false") else _scalar(text)
+    return text if field.kind != "text" and text in ("true", "false") else _scalar(text)
 
 
 def _scalar(text: str) -> str:

@@ -198,6 +198,8 @@ class Jobs:
             return own.poll() is None
         if job.situation.program:
             return self._running(job.pid) is not None
+        if sys.platform == "win32":  # where a signal of 0 ends it
+            return False
         try:
             os.kill(job.pid, 0)  # it asks before it says that it runs
         except OSError:

@@ -12,6 +12,7 @@ import functools
 import json
 import re
 import subprocess
+import threading
 import time
 import tomllib
 from collections.abc import AsyncIterator, Callable, Mapping, Sequence
@@ -49,14 +50,23 @@ _VIEW_S = 0.5  # between two views of one measurement, made for all its readers
 _KEEP_S = 15.0  # after so long without news a reader gets a line that says nothing
 _RUNS_KEPT_S = 2.0  # for so long a list of runs holds
 _ROWS = 100
-_SHOWN = {".html", ".png", ".svg", ".csv", ".json", ".xml", ".txt"}
+_SHOWN = {".html", ".jpg", ".png", ".svg", ".csv", ".json", ".xml", ".txt"}
 _SEVERAL = re.compile(r"[;,\s]+")
 
 
 @functools.cache
-def words(language: str) -> dict[str, str]:
-    """Return the words of a language."""
+def words(language: str) -> dict[str, Any]:
+    """Return the words of a language, and under ``said`` what the program asks."""
     return dict(tomllib.loads((PAGE / f"{language}.toml").read_text(encoding="utf-8")))
+
+
+def put(said: str | None, language: str) -> str:
+    """Put what the program says into a language, line by line; what it has no words for stays as it is."""
+    lines = []
+    for line in (said or "").split("\n"):
+        tried = ((re.fullmatch(pattern, line), text) for pattern, text in words(language)["said"].items())
+        lines.append(next((text.format(*found.groups()) for found, text in tried if found), line))
+    return "\n".join(lines)
 
 
 @functools.cache
@@ -74,7 +84,7 @@ class OpenPanel:
     jobs: Jobs
     served: subprocess.Popen[str] | None = None  # the simulated oscilloscope for other programs
     served_as: str = ""
-    runs_at: float = -_RUNS_KEPT_S
+    runs_at: float = -1.0  # negative: they are to be looked for before they are shown
     runs: Sequence[Any] = ()
     views: dict[tuple[str, str], tuple[tuple[int, bool, str], float, str]] = field(default_factory=dict)
 
@@ -83,6 +93,7 @@ class OpenPanel:
             loader=FileSystemLoader(PAGE), autoescape=True, trim_blocks=True, lstrip_blocks=True
         )
 
+        self.pages.filters["put"] = put
         self.pages.filters["named"] = lambda key: FormField(key, "", "", "text").name
 
     def inside(self, named: str) -> Path:
@@ -93,11 +104,18 @@ class OpenPanel:
         return path
 
     def listed(self) -> Sequence[Any]:
-        """All runs of the folder, the newest first; looked for anew after a while."""
-        if time.monotonic() - self.runs_at > _RUNS_KEPT_S:
-            self.runs = list(reversed(list_runs(self.root)))
-            self.runs_at = time.monotonic()
+        """All runs of the folder, the newest first; after a while they are looked for anew meanwhile."""
+        if self.runs_at < 0:
+            self._look_for_runs()
+        elif time.monotonic() - self.runs_at > _RUNS_KEPT_S:
+            self.runs_at = time.monotonic()  # nobody else looks meanwhile
+            threading.Thread(target=self._look_for_runs, name="runs", daemon=True).start()
         return self.runs
+
+    def _look_for_runs(self) -> None:
+        with suppress(StationError, OSError):
+            self.runs = list(reversed(list_runs(self.root)))
+        self.runs_at = time.monotonic()
 
     def _page_of(self, job: Job) -> str:
         """The record of a test, or the report of a run, from the panel's folder; empty where there is none."""
@@ -106,6 +124,16 @@ class OpenPanel:
             with suppress(ValueError):
                 if (self.root / path).is_file():
                     return (self.root / path).resolve().relative_to(self.root.resolve()).as_posix()
+        return ""
+
+    def _picture_of(self, job: Job) -> str:
+        """The picture of a campaign, from the panel's folder, for its questions; empty where there is none."""
+        if job.words[:1] == ["station"]:
+            with suppress(OSError, ValueError, KeyError, TypeError, UsageError):
+                file = self.inside(job.words[1])
+                named = file.with_name(tomllib.loads(file.read_text(encoding="utf-8"))["campaign"]["picture"])
+                shown = named.relative_to(self.root).as_posix()
+                return shown if self.inside(shown).is_file() and named.suffix in (".png", ".svg", ".jpg") else ""
         return ""
 
     def view(self, job: Job, language: str) -> str:
@@ -119,7 +147,8 @@ class OpenPanel:
                     result = json.loads((job.folder / "result.json").read_text(encoding="utf-8"))
             text = self.pages.get_template("live.html.j2").render(
                 w=words(language), job=job, s=job.situation, alive=stands[1], said=result,
-                duration=duration_words, page=self._page_of(job),
+                duration=duration_words, page=self._page_of(job), picture=self._picture_of(job),
+                language=language,
             )  # fmt: skip
             made = self.views[key] = stands, now, text
         return made[2]
@@ -441,7 +470,7 @@ def _on_runs(panel: OpenPanel, request: Request, form: QueryParams) -> Response:
         _run_said(panel, ["report", *runs])
     else:
         raise UsageError(_words(request)["no_such_page"])
-    panel.runs_at = -_RUNS_KEPT_S
+    panel.runs_at = -1.0
     return _runs_page(panel, request, said) if said else RedirectResponse("/runs", 303)
 
 

@@ -86,7 +86,9 @@ function draw() {
   }
   pen.fillStyle = "#c8d2db";
   pen.font = "22px sans-serif";
-  pen.fillText(`${(trace.seconds * 100).toPrecision(3)} ms/div   ${trace.key}`, 14, 28);
+  const [each, unit] = trace.seconds < 10 ? [trace.seconds * 100, "ms"] : [trace.seconds / 10, "s"];
+  pen.fillText(`${Number(each.toPrecision(3))} ${unit}/div   ${trace.key}`, 14, 28);
+  document.querySelectorAll(".of-fit").forEach((one) => { one.hidden = !trace.fit; });
 }
 
 function line(pen, x, y, to_x, to_y) {

@@ -1,5 +1,6 @@
 """The panel in Chromium: start, see values move, verdict, two tabs, a killed panel, nothing that overflows."""
 
+import subprocess
 import sys
 import time
 from collections.abc import Callable
@@ -115,3 +116,41 @@ def test_a_verdict_in_the_station_and_the_next_unit(tmp_path: Path) -> None:
         browser.say(ENTER.format("RLG-001"))
         assert until(browser, "document.querySelector('.verdict-full')?.innerText", lambda word: word == "PASS")
         assert browser.troubles == []
+
+
+def test_a_cable_that_is_pulled_and_plugged_in_again(tmp_path: Path) -> None:
+    def serve(port: str) -> tuple[subprocess.Popen[str], str]:
+        words = [sys.executable, "-m", "station.cli", "simulate", "--tcp", port]
+        served = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
+        assert served.stdout is not None
+        with served.stdout as said:
+            return served, said.readline().strip()
+
+    served, name = serve("0")
+    try:
+        with running_panel(tmp_path) as addresses, Browser(tmp_path / "profile") as browser:
+            browser.visit(addresses["control"])
+            browser.visit(f"{addresses['control'].partition('/?')[0]}/measure/measure?real=1")
+            given = {
+                "scope.resource": name, "gyro.scale_factor_pulses_per_deg": "2000", "measurement.records": "900",
+                "measurement.rates_over_lock_in": "8",
+            }  # fmt: skip
+            for place, text in given.items():
+                browser.say(f"document.getElementsByName('{place}')[0].value = '{text}'")
+            browser.say("document.querySelector('button.large').click()")
+            until(browser, "document.querySelector('.values .strong')?.innerText")
+            served.kill()
+            served.wait()
+            until(browser, "document.getElementById('view').innerText.includes('The link is down')")
+            served, again = serve(name.split("::")[2])
+            assert again == name
+            until(browser, "document.getElementById('view').innerText.includes('opened again 1')")
+            before = "+document.getElementById('view').innerText.match(/(\\d+) records saved/)[1]"
+            count = browser.say(before)
+            until(browser, before, lambda now: now > count)
+            browser.say("document.querySelector('button.stop').click()")
+            until(browser, "document.getElementById('view')?.innerText.includes('ended with exit code')")
+            assert browser.troubles == []
+    finally:
+        served.kill()
+        served.wait()

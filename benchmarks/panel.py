@@ -2,8 +2,8 @@
 
 A process writes the events of a measurement, ten records a second with their fits, to a job of the panel; ten
 readers take its events. Printed: the panel's share of a core, how many events came one by one, how long a first
-page and a list of ten thousand runs take, memory and open files after reconnects, and whether a thousand connections
-that say nothing stop a reader; and the time of a measurement with ten readers over that without the panel.
+page and a list of ten thousand runs take, memory and open files after reconnects, and whether a thousand
+connections that say nothing stop a reader; and the time of a measurement with ten readers over that without them.
 """
 
 from __future__ import annotations

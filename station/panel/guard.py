@@ -11,7 +11,7 @@ import hmac
 import json
 import secrets
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -19,7 +19,7 @@ from typing import Any, Literal
 from urllib.parse import parse_qs, urlsplit
 
 from starlette.datastructures import Headers
-from starlette.requests import cookie_parser
+from starlette.requests import HTTPConnection, cookie_parser
 from starlette.responses import PlainTextResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
@@ -74,6 +74,8 @@ class PanelGuard:
     tokens: Mapping[Role, str]
     cookie: str = "gyrolock"  # a name of its own for each panel of a host
     lease: Lease = field(default_factory=Lease)
+    # puts the reason of a refusal into the language of who asks
+    put: Callable[[str, HTTPConnection], str] = lambda why, asked: why
 
     def role_of(self, token: str) -> Role | None:
         """What a token allows."""
@@ -113,7 +115,8 @@ class GuardedApp:
         token = self._guard.tokens[role] if role else ""
         status, why = self._wrong(scope, headers, role)
         if why:
-            await PlainTextResponse(f"{why}\n", status)(scope, receive, send)
+            said = self._guard.put(why, HTTPConnection(scope))
+            await PlainTextResponse(f"{said}\n", status)(scope, receive, send)
             return
         scope["state"] = {**scope.get("state", {}), "role": role, "client": client}
 

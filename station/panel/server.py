@@ -29,7 +29,7 @@ from jinja2 import Environment, FileSystemLoader
 from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
 from starlette.datastructures import QueryParams
-from starlette.requests import Request
+from starlette.requests import HTTPConnection, Request
 from starlette.responses import FileResponse, HTMLResponse, RedirectResponse, Response, StreamingResponse
 from starlette.routing import Mount, Route
 from starlette.staticfiles import StaticFiles
@@ -159,6 +159,7 @@ def create_app(panel: OpenPanel) -> GuardedApp:
     actions: dict[str, Callable[[OpenPanel, Request, QueryParams], Response]] = {
         "/measure/{name}": _measure,
         "/station": _station,
+        "/station/history": _history,
         "/job/{name}/{what}": _on_job,
         "/runs/{what}": _on_runs,
         "/bench/{what}": _on_bench,
@@ -188,6 +189,7 @@ def create_app(panel: OpenPanel) -> GuardedApp:
         if panel.served is not None:
             panel.served.terminate()
 
+    panel.guard.put = lambda why, asked: put(why, _language_of(asked))
     return GuardedApp(Starlette(routes=routes, lifespan=lifetime), panel.guard)
 
 
@@ -196,7 +198,7 @@ async def _answer(panel: OpenPanel, page: Callable[[OpenPanel, Request], Respons
     try:
         return await run_in_threadpool(page, panel, request)
     except StationError as error:
-        return _page(panel, request, "message", said=one_line(error), status=400)
+        return _page(panel, request, "message", said=put(one_line(error), _language_of(request)), status=400)
 
 
 async def _act(panel: OpenPanel, action: Callable[..., Response], request: Request) -> Response:
@@ -213,17 +215,17 @@ async def _act(panel: OpenPanel, action: Callable[..., Response], request: Reque
             answer.set_cookie(NAME, quote(name), samesite="strict", max_age=31_536_000)
         return answer
     except StationError as error:
-        return _page(panel, request, "message", said=one_line(error), status=400)
+        return _page(panel, request, "message", said=put(one_line(error), _language_of(request)), status=400)
 
 
 def _words(request: Request) -> dict[str, str]:
     return words(_language_of(request))
 
 
-def _language_of(request: Request) -> str:
+def _language_of(asked: HTTPConnection) -> str:
     """What the reader chose, else what the browser would like."""
-    wished = [request.cookies.get("gyrolock-language", "")]
-    wished += [one.partition(";")[0].strip()[:2] for one in request.headers.get("accept-language", "").split(",")]
+    wished = [asked.cookies.get("gyrolock-language", "")]
+    wished += [one.partition(";")[0].strip()[:2] for one in asked.headers.get("accept-language", "").split(",")]
     return next((one for one in wished if one in languages()), "en")
 
 
@@ -402,6 +404,17 @@ def _station(panel: OpenPanel, request: Request, form: QueryParams) -> Response:
     operator = str(form.get("operator", "")).strip()
     panel.jobs.start(["station", file, "--unit", unit, *(["--operator", operator] if operator else [])])
     return RedirectResponse(f"/station?file={file}", 303)
+
+
+def _history(panel: OpenPanel, request: Request, form: QueryParams) -> Response:
+    """Show all tests of a campaign and their control charts: the page that `gyrolock history` writes."""
+    file = panel.inside(form.get("file", ""))
+    try:
+        folder = tomllib.loads(file.read_text(encoding="utf-8")).get("output", {}).get("directory", "tests")
+    except (OSError, ValueError, AttributeError):
+        raise UsageError(f"{form.get('file', '')}: there is no such campaign file") from None
+    _run_said(panel, ["history", str(panel.inside(folder))])
+    return RedirectResponse(f"/file/{folder}/index.html", 303)
 
 
 # --------------------

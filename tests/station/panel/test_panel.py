@@ -1,5 +1,6 @@
 """`gyrolock panel`: what visitors may do, what buttons do, and that measurements do not depend on the panel."""
 
+import ast
 import importlib
 import json
 import os
@@ -142,6 +143,24 @@ def test_every_question_is_put_into_every_language() -> None:
     for question in asked:
         assert put(question, "en") == question
         assert set(re.findall(r"[A-Za-z]{3,}", put(question, "zh"))) <= names, question
+
+
+def test_what_the_panel_itself_says_is_put_into_every_language() -> None:
+    said = []
+    for file in PAGE.parent.glob("*.py"):
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+            refuses = isinstance(node, ast.Call) and getattr(node.func, "id", "") == "UsageError"
+            of_guard = isinstance(node, ast.Return) and isinstance(node.value, ast.Tuple) and file.stem == "guard"
+            if refuses or of_guard:
+                texts = [one for one in ast.walk(node) if isinstance(one, ast.Constant | ast.JoinedStr)]
+                text = next((one for one in texts if isinstance(one, ast.JoinedStr)), texts[-1])
+                parts = text.values if isinstance(text, ast.JoinedStr) else [text]
+                line = "".join(str(one.value) if isinstance(one, ast.Constant) else "7" for one in parts)
+                said += [line] if " " in line and "exit code" not in line else []
+    assert len(said) > 10
+    for line in said:
+        left = set(re.findall(r"[A-Za-z]{3,}", put(line, "zh"))) - {"gyrolock", "panel"}
+        assert left == set(), line
 
 
 def test_no_sentence_stands_in_a_template() -> None:
@@ -310,6 +329,8 @@ def test_a_question_is_answered_in_the_page(panel: dict[str, str], tmp_path: Pat
     visitor.post(f"/job/{name[1]}/answer", answer="")
     page = visitor.until("/station", lambda text: "verdict-full" in text, 120)
     assert 'data-verdict="FAIL"' in page
+    visitor.post("/station/history", file="own.toml")
+    assert "RLG-003" in visitor.text
     assert "nothing was asked" in visitor.post(f"/job/{name[1]}/answer", answer="x")
 
 

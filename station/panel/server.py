@@ -62,11 +62,18 @@ def words(language: str) -> dict[str, Any]:
 
 def put(said: str | None, language: str) -> str:
     """Put what the program says into a language, line by line; what it has no words for stays as it is."""
-    lines = []
-    for line in (said or "").split("\n"):
-        tried = ((re.fullmatch(pattern, line), text) for pattern, text in words(language)["said"].items())
-        lines.append(next((text.format(*found.groups()) for found, text in tried if found), line))
-    return "\n".join(lines)
+    return "\n".join(_line_put(line, language) for line in (said or "").split("\n"))
+
+
+def _line_put(line: str, language: str) -> str:
+    """A line, whose groups are lines themselves."""
+    known = words(language)
+    if isinstance(word := known.get(line), str) and line.isupper():
+        return word
+    for pattern, text in known["said"].items():
+        if found := re.fullmatch(pattern, line):
+            return str(text.format(*(_line_put(one, language) for one in found.groups())))
+    return line
 
 
 @functools.cache

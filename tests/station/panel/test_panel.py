@@ -163,6 +163,41 @@ def test_what_the_panel_itself_says_is_put_into_every_language() -> None:
         assert left == set(), line
 
 
+@pytest.mark.parametrize("file", ["campaign/conduct.py", "campaign/journal.py", "results/verdict.py", "errors.py"])
+def test_what_is_said_of_a_campaign_is_put_into_every_language(file: str) -> None:
+    tree = ast.parse((PAGE.parents[1] / file).read_text(encoding="utf-8"))
+    inside = {part for one in ast.walk(tree) if isinstance(one, ast.JoinedStr) for part in ast.walk(one)}
+    bare = {one.value for one in ast.walk(tree) if isinstance(one, ast.Expr)}  # docstrings
+    said = []
+    for node in ast.walk(tree):
+        if isinstance(node, ast.JoinedStr):
+            said.append("".join(str(one.value) if isinstance(one, ast.Constant) else "7" for one in node.values))
+        elif isinstance(node, ast.Constant) and isinstance(node.value, str) and node not in inside | bare:
+            said.append(node.value)
+    said = [
+        one
+        for one in said
+        if one.count(" ") > 1 and re.search("[a-z]{3} [a-z]", one) and not re.search("%[s(]", one)
+    ]
+    assert said or file == "errors.py"
+    names = {"gyrolock", "guard", "band", "none", "resume", "DIR", "SIGTERM", "SIGHUP", "test", "journal"}
+    for line in said:
+        put_so = min((put(form.format(line), "zh") for form in ("{}", "7; {}", "7: 7; {}: 7")), key=_english)
+        assert set(re.findall(r"[A-Za-z]{3,}", put_so)) <= names, line
+
+
+def _english(text: str) -> int:
+    return len(re.findall(r"[A-Za-z]{3,}", text))
+
+
+def test_a_verdict_keeps_its_numbers() -> None:
+    said = "rate: FAIL rate: 0.0110 [0.0109, 0.0111] deg/s, at most 0.01 deg/s, margin -0.0010 deg/s"
+    in_chinese = put(said, "zh")
+    assert re.findall(r"[-\d.]+", in_chinese) == re.findall(r"[-\d.]+", said)
+    assert words("zh")["FAIL"] in in_chinese
+    assert not re.search("FAIL|most|margin", in_chinese)
+
+
 def test_no_sentence_stands_in_a_template() -> None:
     for template in PAGE.glob("*.j2"):
         text = re.sub(r"(?s)\{#.*?#\}|\{%.*?%\}|\{\{.*?\}\}|<[^>]*>", " ", template.read_text(encoding="utf-8"))

@@ -26,6 +26,7 @@ from station.terminal import ANSWERS_VARIABLE
 
 FOLDER = ".gyrolock-panel"
 _LOOK_S = 1.0  # between two looks at which programs run
+_MOST = 200  # jobs that are looked at, the newest
 _LONGEST_LINE = 4_000_000  # bytes of events that are read at once
 
 
@@ -169,7 +170,7 @@ class Jobs:
     def all(self) -> list[Job]:
         """Return all jobs, the newest first, each as it stands now."""
         with self._lock:
-            for folder in self._folder.glob("*"):
+            for folder in sorted(self._folder.glob("*"))[-_MOST:]:
                 if folder.name not in self._known:
                     try:
                         words = json.loads((folder / "words.json").read_text(encoding="utf-8"))

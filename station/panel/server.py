@@ -36,7 +36,7 @@ from starlette.staticfiles import StaticFiles
 
 from station.campaign.journal import PAGE_FILE
 from station.catalogue import RunFilter, chosen, list_runs, write_trend
-from station.errors import StationError, UsageError, one_line
+from station.errors import StationError, UsageError, describe_failure, one_line
 from station.live.status import running_programs
 from station.panel.forms import FormField, checked, form_of, kind_of, measurements, settings_text
 from station.panel.guard import OF_FILES, GuardedApp, PanelGuard
@@ -99,7 +99,6 @@ class OpenPanel:
         self.pages = Environment(
             loader=FileSystemLoader(PAGE), autoescape=True, trim_blocks=True, lstrip_blocks=True
         )
-
         self.pages.filters["put"] = put
         self.pages.filters["named"] = lambda key: FormField(key, "", "", "text").name
 
@@ -196,16 +195,20 @@ def create_app(panel: OpenPanel) -> GuardedApp:
         if panel.served is not None:
             panel.served.terminate()
 
+    def nowhere(request: Request, error: Exception) -> Response:
+        return _page(panel, request, "message", said=_words(request)["no_such_page"], status=404)
+
     panel.guard.put = lambda why, asked: put(why, _language_of(asked))
-    return GuardedApp(Starlette(routes=routes, lifespan=lifetime), panel.guard)
+    app = Starlette(routes=routes, lifespan=lifetime, exception_handlers={404: nowhere, 405: nowhere})
+    return GuardedApp(app, panel.guard)
 
 
 async def _answer(panel: OpenPanel, page: Callable[[OpenPanel, Request], Response], request: Request) -> Response:
     """Show a page; what is wrong with what was asked for is one line of it."""
     try:
         return await run_in_threadpool(page, panel, request)
-    except StationError as error:
-        return _page(panel, request, "message", said=put(one_line(error), _language_of(request)), status=400)
+    except Exception as error:
+        return _failed(panel, request, error)
 
 
 async def _act(panel: OpenPanel, action: Callable[..., Response], request: Request) -> Response:
@@ -221,8 +224,18 @@ async def _act(panel: OpenPanel, action: Callable[..., Response], request: Reque
         if name:
             answer.set_cookie(NAME, quote(name), samesite="strict", max_age=31_536_000)
         return answer
-    except StationError as error:
-        return _page(panel, request, "message", said=put(one_line(error), _language_of(request)), status=400)
+    except Exception as error:
+        return _failed(panel, request, error)
+
+
+def _failed(panel: OpenPanel, request: Request, error: Exception) -> Response:
+    """One line of what is wrong, in the reader's language."""
+    failure = describe_failure(error)
+    said = (
+        failure.message if failure else f"{type(error).__name__}: {one_line(error)} (this is a defect of gyrolock)"
+    )
+    language = _language_of(request)
+    return _page(panel, request, "message", said=put(said, language), status=400 if failure else 500)
 
 
 def _words(request: Request) -> dict[str, str]:

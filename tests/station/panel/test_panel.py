@@ -54,6 +54,9 @@ def test_who_may_look_and_who_may_act(panel: dict[str, str]) -> None:
     assert control.ask("POST", "/bench/list", Origin="http://evil.example")[0] == 403
     assert control.ask("POST", "/bench/list", "x" * (LARGEST_BODY + 1))[0] == 413
     assert control.ask("POST", "/measure/nonsense")[0] == 400
+    for nowhere in ("/nonsense", "/job/x/y"):
+        status, _, text = control.ask("GET", nowhere)
+        assert status == 404 and "There is no such page." in text
 
 
 def test_a_body_without_length_is_cut_off(panel: dict[str, str]) -> None:

@@ -109,18 +109,21 @@ def input_range(
     if np.any(np.abs(off[inside]) - NORMAL_95 * off_u[inside] > tolerance_ppm):
         raise ValueError("the smallest rates of both senses lie on no line: begin with smaller ones")
     followed = dict.fromkeys(stairs, _FIRST)  # how many rates of each sense
-    further = [(abs(w[places[0]]), sense) for sense, of in stairs.items() for places in of[_FIRST:]]
-    ended: set[int] = set()
-    for _, sense in sorted(further):
-        if sense in ended:
-            continue
-        wider = np.concatenate([inside, stairs[sense][followed[sense]]])
-        off, *_ = _against_line(w, n, u, wider)
-        if np.abs(off[wider]).max() > tolerance_ppm:
-            ended.add(sense)
+    going = set(stairs)
+    for size in np.unique(np.abs(w)):
+        here = [sense for sense in going if sense * size in w and size > abs(w[stairs[sense][_FIRST - 1][0]])]
+        off, *_ = _against_line(w, n, u, inside)
+        goes_on = [sense for sense in here if np.abs(off[stairs[sense][followed[sense]]]).max() <= tolerance_ppm]
+        # both senses together, else those that the line so far foresees: its bias would take their side
+        for senses in (here, goes_on) if here else ():
+            wider = np.concatenate([inside, *(stairs[sense][followed[sense]] for sense in senses)])
+            off, *_ = _against_line(w, n, u, wider)
+            if np.abs(off[wider]).max() <= tolerance_ppm:
+                inside, going = wider, going - set(here) | set(senses)
+                followed |= {sense: followed[sense] + 1 for sense in senses}
+                break
         else:
-            inside = wider
-            followed[sense] += 1
+            going -= set(here)
     # the last before an end may be a little short: it is followed, and not in the line
     counts = {sense: followed[sense] - (_FIRST < followed[sense] < len(of)) for sense, of in stairs.items()}
     of_line = np.concatenate([place for sense, of in stairs.items() for place in of[: counts[sense]]])

@@ -35,22 +35,25 @@ def test_an_output_that_stands_still_gives_both_ends(ends: tuple[float, float]) 
 
 
 def test_what_bends_ends_between_two_rates() -> None:
+    exact = 0
     for seed in range(20):
         rng = np.random.default_rng(seed)
         strength, tolerance = rng.uniform(2e-7, 4e-6), rng.uniform(500, 4000)
         found = ladder(lambda w, s=strength: w * (1 - s * np.abs(w) ** 2), seed, tolerance_ppm=tolerance)
-        # the most rates whose straight line, each weighted by its size, leaves no more: both senses are alike
+        # the most rates whose straight line leaves no more: both senses are alike
         off = []
         for count in range(2, RATES.size + 1):
             some = RATES[:count]
-            k = np.mean(1 - strength * some**2)
+            k = np.sum(some**2 * (1 - strength * some**2)) / np.sum(some**2)
             off.append(1e6 * np.abs((1 - strength * some**2) / k - 1).max())
         true = max(np.flatnonzero(np.array(off) <= tolerance), default=0) + 2
         for end in (found.positive, found.negative):
             assert abs(np.searchsorted(RATES, end.value_dps) + 1 - true) <= 1
+            exact += np.searchsorted(RATES, end.value_dps) + 1 == true
             assert end.beyond == ("" if end.value_dps == RATES[-1] else "bends")
             assert end.low_95_dps <= end.value_dps
             assert not end.high_95_dps <= end.value_dps
+    assert exact >= 36  # of 40: one sense is tried before the other
 
 
 def test_wraps_fringes_and_no_end_are_named() -> None:
@@ -78,7 +81,9 @@ def overload(
     t = np.arange(0, 90, interval_s / FINE) + interval_s / FINE / 2
     rate = np.interp(t, [10, 12, 20, 22], [0, 200, 200, 0])
     back = 21.0  # 100 deg/s
-    error = np.where((t > 11) & (t < back), np.minimum(100 - rate, 0), 0.0)
+    error = np.where(
+        (t > 11) & (t < back), np.minimum(100 - rate, 0), 1e-4 * rate
+    )  # it lags as the table speeds up
     error = np.where(t >= back, tail(t - back), error)
     rng = np.random.default_rng(seed)
     rate, error = (one.reshape(-1, FINE).mean(axis=1) for one in (rate, error))
@@ -142,6 +147,9 @@ def test_logs_with_an_overload(tmp_path, monkeypatch, capsys) -> None:
     back = taken(capsys, write_logs(tmp_path, 97.0, lambda t: FRINGE + 0 * t))
     assert back["standing"] == "doubtful"
     assert "a fringe" in " ".join(back["flags"])
+    moved = taken(capsys, write_logs(tmp_path, 97.0, lambda t: 0.02 + 0 * t))
+    assert "behind it the bias is another one" in " ".join(moved["flags"])
+    assert abs(moved["bias_change_by_overload_dph"] - 72) < 5 * moved["bias_change_by_overload_u_dph"] < 10
 
 
 def test_limits_are_the_least_that_may_be(tmp_path, monkeypatch, capsys) -> None:

@@ -81,9 +81,8 @@ def overload(
     t = np.arange(0, 90, interval_s / FINE) + interval_s / FINE / 2
     rate = np.interp(t, [10, 12, 20, 22], [0, 200, 200, 0])
     back = 21.0  # 100 deg/s
-    error = np.where(
-        (t > 11) & (t < back), np.minimum(100 - rate, 0), 1e-4 * rate
-    )  # it lags as the table speeds up
+    beyond = (t > 11) & (t < back)
+    error = np.where(beyond, np.minimum(100 - rate, 0), 1e-3 * rate)  # it lags as the table speeds up
     error = np.where(t >= back, tail(t - back), error)
     rng = np.random.default_rng(seed)
     rate, error = (one.reshape(-1, FINE).mean(axis=1) for one in (rate, error))

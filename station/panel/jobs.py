@@ -192,11 +192,11 @@ class Jobs:
 
     def alive(self, job: Job) -> bool:
         """Whether it still runs."""
-        if job.ended:
-            return False
         own = next((one for one in self._processes if one.pid == job.pid), None)
         if own is not None:
-            return own.poll() is None
+            return own.poll() is None and not job.ended
+        if job.ended:
+            return False
         if job.situation.program:
             return self._running(job.pid) is not None
         if sys.platform == "win32":  # where a signal of 0 ends it

@@ -67,7 +67,7 @@ def test_a_command_line_of_a_guide_is_one(page: str, number: int, words: list[st
 
 ELSEWHERE = re.compile(
     r"GPIB|/dev/tty|s3://|tcp://|/shared/|/data/|--resource NAME|--resume|--loop|my\.toml|"
-    r"^(start|simulate|fog serve|fog sniff|stop)\b"
+    r"^(start|simulate|panel|fog serve|fog sniff|stop)\b"
 )
 """What needs an instrument or settings that name one, a cluster, a terminal, a run that was cut short, an end."""
 

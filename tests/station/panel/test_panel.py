@@ -324,14 +324,16 @@ def test_a_killed_panel_costs_nothing_and_the_next_one_finds_the_measurement(tmp
         [sys.executable, "-m", "station.cli", "panel", str(tmp_path), "--port", "0", "--json"],
         stdout=subprocess.PIPE, text=True, env=environment(tmp_path),
     )  # fmt: skip
-    assert process.stdout is not None
-    visitor = Visitor(json.loads(process.stdout.readline())["control"])
-    visitor.post("/measure/measure", do="begin", **{**SHORT, "measurement.records": "60"})
-    job = visitor.where
-    visitor.until(job, lambda text: "records saved" in text)
-    process.send_signal(signal.SIGKILL)
-    process.wait(20)
-    process.stdout.close()
+    try:
+        assert process.stdout is not None
+        with process.stdout as said:
+            visitor = Visitor(json.loads(said.readline())["control"])
+        visitor.post("/measure/measure", do="begin", **{**SHORT, "measurement.records": "60"})
+        job = visitor.where
+        visitor.until(job, lambda text: "records saved" in text)
+    finally:
+        process.send_signal(signal.SIGKILL)
+        process.wait(20)
     with running_panel(tmp_path) as addresses:
         after = Visitor(addresses["control"])
         after.cookies.update(visitor.cookies)

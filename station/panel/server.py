@@ -29,7 +29,7 @@ from jinja2 import Environment, FileSystemLoader
 from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
 from starlette.datastructures import QueryParams
-from starlette.requests import HTTPConnection, Request
+from starlette.requests import ClientDisconnect, HTTPConnection, Request
 from starlette.responses import FileResponse, HTMLResponse, RedirectResponse, Response, StreamingResponse
 from starlette.routing import Mount, Route
 from starlette.staticfiles import StaticFiles
@@ -224,6 +224,8 @@ async def _act(panel: OpenPanel, action: Callable[..., Response], request: Reque
         if name:
             answer.set_cookie(NAME, quote(name), samesite="strict", max_age=31_536_000)
         return answer
+    except ClientDisconnect:  # or it sends without an end: the connection is closed
+        raise
     except Exception as error:
         return _failed(panel, request, error)
 

@@ -193,6 +193,11 @@ def _english(text: str) -> int:
     return len(re.findall(r"[A-Za-z]{3,}", text))
 
 
+def test_every_measurement_and_what_is_counted_has_a_name_in_every_language() -> None:
+    for title in (*measurements().values(), "records", "tilt", "logs", "seconds of output", "lock-in rate", "ratio"):
+        assert put(title, "zh") != title
+
+
 def test_a_verdict_keeps_its_numbers() -> None:
     said = "rate: FAIL rate: 0.0110 [0.0109, 0.0111] deg/s, at most 0.01 deg/s, margin -0.0010 deg/s"
     in_chinese = put(said, "zh")

@@ -49,7 +49,7 @@ COMMANDS = {
     "salvage": ("commands.saved:salvage_command", "Copy what can still be read of a damaged run into a new one."),
     "status": ("commands.running:status", "Show running measurements."),
     "stop": ("commands.running:stop", "Stop a running measurement or station; its records are kept."),
-    "panel": ("commands.running:panel", "All of this in a browser (extra `panel`)."),
+    "panel": ("commands.running:panel", "Show and measure in a browser: extra `panel`."),
     "grab": ("commands.instruments:grab_command", "Save the screen as PNG and the traces as CSV and NumPy."),
     "plan": ("commands.planning:plan_command", "Plan a measurement: records for a wanted uncertainty."),
     "station": ("commands.station:command", "Test a unit by a campaign file: one verdict."),

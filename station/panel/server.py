@@ -46,7 +46,7 @@ from station.runs.store import REPORT_FILE
 
 PAGE, NAME = Path(__file__).with_name("page"), "gyrolock-name"
 LOOK_S = 0.1  # between two looks at what a measurement has told
-_VIEW_S = 0.5  # between two views of one measurement, made for all its readers
+_VIEW_S = 1.0  # between two views of one measurement, for all its readers: a voice that reads aloud keeps up
 _KEEP_S = 15.0  # after so long without news a reader gets a line that says nothing
 _RUNS_KEPT_S = 2.0  # for so long a list of runs holds
 _ROWS = 100
@@ -143,7 +143,7 @@ class OpenPanel:
         return ""
 
     def view(self, job: Job, language: str) -> str:
-        """How a measurement stands, as HTML; made at most twice a second for all readers."""
+        """How a measurement stands, as HTML; made at most once a second for all readers."""
         key, stands = (job.name, language), (job.counter, self.jobs.alive(job), job.question)
         made, now = self.views.get(key), time.monotonic()
         if made is None or (made[0] != stands and now - made[1] >= _VIEW_S):

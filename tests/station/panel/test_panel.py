@@ -194,7 +194,15 @@ def _english(text: str) -> int:
 
 
 def test_every_measurement_and_what_is_counted_has_a_name_in_every_language() -> None:
-    for title in (*measurements().values(), "records", "tilt", "logs", "seconds of output", "lock-in rate", "ratio"):
+    for title in (
+        *measurements().values(),
+        "records",
+        "tilt",
+        "logs",
+        "seconds of output",
+        "lock-in rate",
+        "ratio",
+    ):
         assert put(title, "zh") != title
 
 

@@ -21,7 +21,8 @@ from station.shell.options import CHANNELS
 HEAVY = ("numpy", "scipy", "pyvisa", "matplotlib", "pydantic", "rich", "jinja2")
 
 CONFIG_CHANGES_NOTHING = (  # they take it, for scripts that give it to every command, and do not show it
-    "start", "runs", "annotate", "export", "verify", "history", "salvage", "status", "stop", "study", "list", "panel",
+    "start", "runs", "annotate", "export", "verify", "history", "salvage", "status", "stop", "study", "list",
+    "panel",
 )  # fmt: skip
 
 

@@ -253,6 +253,8 @@ class Prediction:
     u: float | None = None  # standard uncertainty of the lock-in rate, deg/s, every input counted
     u95: float | None = None  # half of its 95 % interval
     why_not: str = ""  # why there is no uncertainty
+    rates: tuple[float, ...] = ()  # in expected lock-in rates, negative in the other sense; records at each
+    records: int = 0
 
 
 def predict(name: str, settings: Mapping[str, Any]) -> Prediction:
@@ -281,7 +283,8 @@ def _lock_in(settings: Settings) -> Prediction:
     if settings.table.kind != "none":
         senses = 2 if settings.table.both_senses else 1
         seconds += senses * (settings.table.settle_s + settings.measurement.tilt_records * each)
-    return Prediction(seconds, planned.budget.combined_u, planned.budget.expanded_u_95)
+    rates = tuple(sorted(step.sense * step.over_lock_in for step in steps.steps))
+    return Prediction(seconds, planned.budget.combined_u, planned.budget.expanded_u_95, "", rates, records)
 
 
 # --------------------

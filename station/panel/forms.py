@@ -102,7 +102,7 @@ def _fields(file: Path, model: type[BaseModel]) -> Iterator[tuple[str, FormField
             if (field := _field(section, key, value, model, stated=not commented)) is not None:
                 helped = " ".join([*said, behind or ""]).strip()
                 yield section, FormField(field.place, field.default, helped, field.kind, field.choices)
-                said = [] if not commented else said
+                said = []
             elif commented:
                 said.append(line.removeprefix("# "))
         elif line.startswith("# "):

@@ -265,6 +265,7 @@ def test_mistakes_stand_beside_their_fields_and_nothing_starts(panel: dict[str, 
     assert "&lt;i&gt;x" in page and "<i>x" not in page
     checked_page = visitor.post("/measure/measure", do="check", **SHORT)
     assert "expected U95" in checked_page and "rates_over_lock_in = [8]" in checked_page
+    assert "8 records at each rate, in lock-in rates: +8" in " ".join(checked_page.split())
     assert "Nothing is measured now" in visitor.get("/")
 
 

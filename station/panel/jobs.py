@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import subprocess
 import sys
 import threading
@@ -125,6 +126,7 @@ class Job:
             raise UsageError("nothing was asked")
         with (self.folder / "answers").open("a", encoding="utf-8") as file:
             file.write(" ".join(text.splitlines()) + "\n")
+        (self.folder / "question").unlink(missing_ok=True)  # who presses twice does not answer the next one
 
 
 class Jobs:
@@ -210,9 +212,12 @@ class Jobs:
     def stop(self, job: Job) -> None:
         """Ask it to end, as `gyrolock stop` does."""
         running = self._running(job.pid)
-        if running is None:
+        if running is not None:
+            running.stop()
+        elif self.alive(job):
+            os.kill(job.pid, signal.SIGTERM)  # it asks before it says that it runs
+        else:
             raise UsageError("it does not run any more")
-        running.stop()
 
     def resume(self, job: Job) -> Job:
         """Go on with its run, with the same words."""

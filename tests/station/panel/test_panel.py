@@ -392,6 +392,16 @@ def test_a_question_is_answered_in_the_page(panel: dict[str, str], tmp_path: Pat
     visitor.post("/station/history", file="own.toml")
     assert "RLG-003" in visitor.text
     assert "nothing was asked" in visitor.post(f"/job/{name[1]}/answer", answer="x")
+    visitor.post("/station", file="own.toml", unit="RLG-001")
+    page = visitor.until("/station", lambda text: "The program asks" in text)
+    name = re.search(r'data-job="([^"]*)"', page)
+    assert name is not None
+    visitor.post(f"/job/{name[1]}/stop")
+    visitor.until("/station", lambda text: "It did not begin." in text)
+    (tmp_path / "bad.toml").write_text(campaign.replace("[[step]]", "[[stop]]"), encoding="utf-8")
+    visitor.post("/station", file="bad.toml", unit="RLG-003")
+    page = visitor.until("/station", lambda text: "It did not begin." in text)
+    assert "bad.toml" in page and "gyrolock: " in page
 
 
 # ---- bad input

@@ -117,7 +117,7 @@ def test_every_language_has_the_same_words() -> None:
     keys = {code: list(words(code)) for code in languages()}
     assert keys["zh"] == keys["en"]
     for code in languages():
-        said = {key: text for key, text in words(code).items() if key != "said"}
+        said = {key: text for key, text in words(code).items() if isinstance(text, str)}
         assert all(said.values())
         for key, text in said.items():
             assert text.count("{}") == words("en")[key].count("{}"), key
@@ -240,6 +240,19 @@ def test_the_language_of_the_browser_and_the_one_that_is_chosen(shared: dict[str
 # ---- forms
 
 
+def test_the_help_of_every_setting_stands_in_every_language() -> None:
+    helps = {
+        one.help
+        for name in measurements()
+        for real in (False, True)
+        for section in form_of(name, real=real)
+        for one in section.fields
+        if one.help
+    }
+    for code in languages():
+        assert code == "en" or set(words(code)["help"]) == helps
+
+
 @pytest.mark.parametrize("name", measurements())
 @pytest.mark.parametrize("real", [False, True])
 def test_every_measurement_has_a_form_of_its_settings(name: str, real: bool, tmp_path: Path) -> None:
@@ -273,6 +286,13 @@ def test_mistakes_stand_beside_their_fields_and_nothing_starts(shared: dict[str,
     assert "expected U95" in checked_page and "rates_over_lock_in = [8]" in checked_page
     assert "8 records at each rate, in lock-in rates: +8" in " ".join(checked_page.split())
     assert "Nothing is measured now" in visitor.get("/")
+    visitor.ask("GET", "/language/zh")
+    wrong = {"measurement.records": "-3", "site.latitude_deg": "95", "scope.probe": "7", "gyro.name": ""}
+    page = visitor.post("/measure/measure", do="check", **wrong)
+    told = re.findall(r'<p class="bad-word">(.*?)</p>', page)
+    assert len(told) >= 3
+    assert not any(re.search("[a-z]{4}", one.replace("auto", "")) for one in told), told
+    visitor.ask("GET", "/language/en")
 
 
 # ---- measuring

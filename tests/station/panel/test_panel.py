@@ -38,7 +38,7 @@ def panel(tmp_path: Path) -> Iterator[dict[str, str]]:
 
 @pytest.fixture(scope="module")
 def shared(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, str]]:
-    """A panel for tests that measure nothing."""
+    """A panel for tests that take no control: one that does shuts the others out for half a minute."""
     with running_panel(tmp_path_factory.mktemp("panel")) as addresses:
         yield addresses
 
@@ -61,6 +61,7 @@ def test_who_may_look_and_who_may_act(shared: dict[str, str]) -> None:
     assert control.ask("POST", "/bench/list", Origin="http://evil.example")[0] == 403
     assert control.ask("POST", "/bench/list", "x" * (LARGEST_BODY + 1))[0] == 413
     assert control.ask("POST", "/measure/nonsense")[0] == 400
+    control.post("/control/give")
     for nowhere in ("/nonsense", "/job/x/y"):
         status, _, text = control.ask("GET", nowhere)
         assert status == 404 and "There is no such page." in text
@@ -276,8 +277,8 @@ def test_every_measurement_has_a_form_of_its_settings(name: str, real: bool, tmp
     assert "90" in wrong["site.latitude_deg"]
 
 
-def test_mistakes_stand_beside_their_fields_and_nothing_starts(shared: dict[str, str]) -> None:
-    visitor = Visitor(shared["control"])
+def test_mistakes_stand_beside_their_fields_and_nothing_starts(panel: dict[str, str]) -> None:
+    visitor = Visitor(panel["control"])
     page = visitor.post("/measure/measure", do="begin", **{"measurement.records": "-3", "gyro.name": "<i>x"})
     assert "1 settings are wrong" in page
     assert re.search(r'field wrong">\s*<label for="measurement.records"', page)

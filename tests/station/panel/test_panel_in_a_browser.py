@@ -79,7 +79,7 @@ def test_from_the_button_to_the_result_with_a_killed_panel_between(tmp_path: Pat
             port = addresses["control"].split(":")[2].partition("/")[0]
             browser.visit(addresses["control"])
             browser.visit(f"{addresses['control'].partition('/?')[0]}/measure/measure")
-            browser.say("document.getElementsByName('measurement.records')[0].value = '40'")
+            browser.say("document.getElementsByName('measurement.records')[0].value = '500'")
             browser.say("document.getElementsByName('measurement.rates_over_lock_in')[0].value = '8'")
             browser.say("document.querySelector('button.large').click()")
             first = until(browser, "document.querySelector('.values .strong')?.innerText")

@@ -78,7 +78,6 @@ class RangeEvaluation:
 
     range: InputRange
     overloads: tuple[tuple[str, Recovery], ...]  # by their segments
-    scale_factor: float  # by the line, counts per deg/s
     remarks: tuple[str, ...]
     left_out: tuple[Excluded, ...]
 
@@ -138,7 +137,7 @@ def evaluate(run: SavedRun, settings: FogSettings, choices: Mapping[str, Any]) -
     followed = dict(zip(found.rate_dps.tolist(), found.followed.tolist(), strict=True))
     remarks = [said for (one, window), w in zip(usable, rate, strict=True) if followed[float(w)]
                for said in remarks_on(one, window)]  # fmt: skip
-    return RangeEvaluation(found, tuple(overloads), found.scale_factor, tuple(remarks), tuple(left_out))
+    return RangeEvaluation(found, tuple(overloads), tuple(remarks), tuple(left_out))
 
 
 # --------------------

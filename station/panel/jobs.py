@@ -167,7 +167,7 @@ class Jobs:
             raise UsageError(f"{folder}: {error.strerror or error}") from None
         with self._lock:
             self._processes = [one for one in self._processes if one.poll() is None] + [process]
-        return self.all()[0]
+        return self.job(folder.name)
 
     def all(self) -> list[Job]:
         """Return all jobs, the newest first, each as it stands now."""
@@ -201,13 +201,10 @@ class Jobs:
             return False
         if job.situation.program:
             return self._running(job.pid) is not None
-        if sys.platform == "win32":  # where a signal of 0 ends it
-            return False
-        try:
-            os.kill(job.pid, 0)  # it asks before it says that it runs
+        try:  # it asks before it says that it runs; a number alone may be another program's by now
+            return job.name.encode() in Path(f"/proc/{job.pid}/cmdline").read_bytes()
         except OSError:
             return False
-        return True
 
     def stop(self, job: Job) -> None:
         """Ask it to end, as `gyrolock stop` does."""
@@ -221,15 +218,14 @@ class Jobs:
 
     def resume(self, job: Job) -> Job:
         """Go on with its run, with the same words."""
-        words = _without_config(job.words)
-        if "--resume" not in words:
-            words += ["--resume", *([job.run] if words[0] != "station" else [])]
-        return self.start(words)
+        words = _without("--resume", _without("--config", job.words))
+        return self.start([*words, "--resume", *([job.run] if words[0] != "station" else [])])
 
     def repeat(self, job: Job) -> Job:
         """Do the same once more."""
         file = job.folder / "settings.toml"
-        return self.start(_without_config(job.words), file.read_text(encoding="utf-8") if file.is_file() else "")
+        settings = file.read_text(encoding="utf-8") if file.is_file() else ""
+        return self.start(_without("--resume", _without("--config", job.words)), settings)
 
     def read(self, job: Job) -> None:
         """Take what a job has told."""
@@ -243,11 +239,11 @@ class Jobs:
         return self._programs[1].get(pid)
 
 
-def _without_config(words: Sequence[str]) -> list[str]:
-    """Words without the settings file of their own job."""
-    if "--config" not in words:
+def _without(option: str, words: Sequence[str]) -> list[str]:
+    """Words without what belongs to their own job alone: an option, and its value where it has one."""
+    if option not in words:
         return list(words)
-    place = list(words).index("--config")
+    place = list(words).index(option)
     return [*words[:place], *words[place + 2 :]]
 
 

@@ -18,7 +18,6 @@ import tomllib
 from collections.abc import AsyncIterator, Callable, Mapping, Sequence
 from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass, field
-from html import escape
 from importlib.metadata import version
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -335,8 +334,6 @@ def _on_job(panel: OpenPanel, request: Request, form: QueryParams) -> Response:
         job = panel.jobs.resume(job)
     elif what == "repeat":
         job = panel.jobs.repeat(job)
-    elif what == "report":
-        _run_said(panel, ["report", job.run])
     else:
         raise UsageError(_words(request)["no_such_page"])
     return RedirectResponse(f"/?job={job.name}", 303)
@@ -354,6 +351,14 @@ def _run_said(panel: OpenPanel, given: Sequence[str]) -> str:
 # Measure: a form of the settings
 
 
+def _checked_text(name: str, text: str) -> tuple[Any, dict[str, str]]:
+    """Settings of a text, or what is wrong by their places."""
+    with TemporaryDirectory() as folder:
+        file = Path(folder) / "settings.toml"
+        file.write_text(text, encoding="utf-8")
+        return checked(name, file)
+
+
 def _form(panel: OpenPanel, request: Request, form: Mapping[str, Any] | None = None) -> Response:
     name = request.path_params["name"]
     kind = kind_of(name)
@@ -363,10 +368,7 @@ def _form(panel: OpenPanel, request: Request, form: Mapping[str, Any] | None = N
     text = settings_text(sections, given)
     more: dict[str, Any] = {"mistakes": {}, "prediction": None}
     if form is not None:
-        with TemporaryDirectory() as folder:
-            file = Path(folder) / "settings.toml"
-            file.write_text(text, encoding="utf-8")
-            settings, wrong = checked(name, file)
+        settings, wrong = _checked_text(name, text)
         places = [one.place for section in sections for one in section.fields]
         for place, said in wrong.items():
             field_of = max((one for one in places if place.startswith(one)), key=len, default="")
@@ -385,11 +387,7 @@ def _measure(panel: OpenPanel, request: Request, form: QueryParams) -> Response:
     kind = kind_of(name)
     sections = form_of(name, real=given.get("real") == "1")
     text = settings_text(sections, given)
-    with TemporaryDirectory() as folder:
-        file = Path(folder) / "settings.toml"
-        file.write_text(text, encoding="utf-8")
-        settings, _ = checked(name, file)
-    if given.get("do") != "begin" or settings is None:
+    if given.get("do") != "begin" or _checked_text(name, text)[0] is None:
         return _form(panel, request, given)
     labels = [(f"--{one}", given.get(one, "").strip()) for one in ("unit", "operator", "note")]
     begun = [*kind.command.split()[1:], *(word for pair in labels if pair[1] for word in pair)]
@@ -462,9 +460,8 @@ def _found(panel: OpenPanel, request: Request) -> list[Any]:
 
 
 def _runs_page(panel: OpenPanel, request: Request, said: str = "") -> Response:
-    found = _found(panel, request)
-    with suppress(ValueError):
-        first = max(0, int(request.query_params.get("from", "0")))
+    found, asked_from = _found(panel, request), request.query_params.get("from", "0")
+    first = int(asked_from) if asked_from.isdecimal() else 0
     rows = []
     for one in found[first : first + _ROWS]:
         folder = Path(one.run).parent.relative_to(panel.root).as_posix()
@@ -582,4 +579,4 @@ def _language(panel: OpenPanel, request: Request) -> Response:
 
 def address(host: str, port: int, token: str) -> str:
     """Return the address of the panel."""
-    return f"http://{f'[{host}]' if ':' in host else host}:{port}/?token={escape(token)}"
+    return f"http://{f'[{host}]' if ':' in host else host}:{port}/?token={token}"

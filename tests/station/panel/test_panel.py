@@ -358,6 +358,11 @@ def test_stop_and_go_on(panel: dict[str, str]) -> None:
     visitor.post(f"/job/{visitor.where.partition('=')[2]}/stop")
     visitor.until(visitor.where, lambda text: "ended with exit code" in text)
     assert "1 runs" in visitor.get("/runs")
+    # once more is a new run, also of one that was gone on with; a page that is no number is the first
+    visitor.post(f"/job/{visitor.where.partition('=')[2]}/repeat")
+    visitor.until(visitor.where, lambda text: "records saved" in text)
+    visitor.post(f"/job/{visitor.where.partition('=')[2]}/stop")
+    visitor.until("/runs?from=abc", lambda text: "2 runs" in text)
 
 
 def test_a_killed_panel_costs_nothing_and_the_next_one_finds_the_measurement(tmp_path: Path) -> None:

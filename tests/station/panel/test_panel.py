@@ -228,6 +228,11 @@ def test_no_sentence_stands_in_a_template() -> None:
         assert left == set(), template.name
     used = set(re.findall(r"\bw\.(\w+)", "".join(one.read_text(encoding="utf-8") for one in PAGE.glob("*.j2"))))
     assert used - {"get"} <= set(words("en"))
+    code = (PAGE.parent / "server.py").read_text(encoding="utf-8")
+    code += "".join(one.read_text(encoding="utf-8") for one in PAGE.glob("*.j2"))
+    said_by_state = {"PASS", "FAIL", "MARGINAL", "ERROR", "ABORTED", "stands", "doubtful", "fails"}
+    for key in set(words("en")) - used - said_by_state - {f"means_{one}" for one in said_by_state}:
+        assert f'"{key}"' in code, key
 
 
 def test_the_language_of_the_browser_and_the_one_that_is_chosen(shared: dict[str, str]) -> None:

@@ -102,9 +102,9 @@ class OpenPanel:
         self.pages.filters["named"] = lambda key: FormField(key, "", "", "text").name
 
     def inside(self, named: str) -> Path:
-        """Return a path in the panel's folder; UsageError for one that is not."""
-        path = (self.root / named).resolve()
-        if not path.is_relative_to(self.root.resolve()) or any(one.startswith(".") for one in Path(named).parts):
+        """Return a path in the panel's folder; UsageError for one that is not, or would pass for an option."""
+        path, parts = (self.root / named).resolve(), Path(named).parts
+        if not path.is_relative_to(self.root.resolve()) or any(one.startswith((".", "-")) for one in parts):
             raise UsageError(f"{named}: is not in the folder of the panel")
         return path
 
@@ -423,7 +423,7 @@ def _station(panel: OpenPanel, request: Request, form: QueryParams) -> Response:
         raise UsageError("a unit is still tested")
     operator = str(form.get("operator", "")).strip()
     panel.jobs.start(["station", file, "--unit", unit, *(["--operator", operator] if operator else [])])
-    return RedirectResponse(f"/station?file={file}", 303)
+    return RedirectResponse(f"/station?file={quote(file)}", 303)
 
 
 def _history(panel: OpenPanel, request: Request, form: QueryParams) -> Response:
@@ -434,7 +434,7 @@ def _history(panel: OpenPanel, request: Request, form: QueryParams) -> Response:
     except (OSError, ValueError, AttributeError):
         raise UsageError(f"{form.get('file', '')}: there is no such campaign file") from None
     _run_said(panel, ["history", str(panel.inside(folder))])
-    return RedirectResponse(f"/file/{folder}/index.html", 303)
+    return RedirectResponse(f"/file/{quote(folder)}/index.html", 303)
 
 
 # --------------------

@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from unittest import mock
+from urllib.parse import urlencode
 
 import pytest
 
@@ -285,7 +286,7 @@ def test_every_measurement_has_a_form_of_its_settings(name: str, real: bool, tmp
 def test_mistakes_stand_beside_their_fields_and_nothing_starts(panel: dict[str, str]) -> None:
     visitor = Visitor(panel["control"])
     page = visitor.post("/measure/measure", do="begin", **{"measurement.records": "-3", "gyro.name": "<i>x"})
-    assert "1 settings are wrong" in page
+    assert "Settings that are wrong: 1<" in page
     assert re.search(r'field wrong">\s*<label for="measurement.records"', page)
     assert "&lt;i&gt;x" in page and "<i>x" not in page
     checked_page = visitor.post("/measure/measure", do="check", **SHORT)
@@ -316,7 +317,7 @@ def test_a_measurement_from_the_form_to_its_report(panel: dict[str, str], tmp_pa
     assert "Lock-in rate" in visitor.get(report[1])
     assert "sandbox" in visitor.headers["content-security-policy"]
     runs = visitor.get("/runs?q=sn")
-    assert "1 runs" in runs
+    assert "Runs: 1<" in runs
     (folder,) = re.findall(r'name="run" value="([^"]*)"', runs)
     visitor.post("/runs/note", run=folder, note="good <b>", tag="a b")
     assert "good &lt;b&gt;" in visitor.get("/runs") and "a b" in visitor.text
@@ -324,11 +325,13 @@ def test_a_measurement_from_the_form_to_its_report(panel: dict[str, str], tmp_pa
     assert (tmp_path / "out.csv").is_file()
     visitor.post("/runs/export", run=folder, file="../out.csv")
     assert visitor.status == 400 and not (tmp_path.parent / "out.csv").exists()
+    by_another = urlencode([("run", folder), ("run", "--by=Somebody"), ("note", "mine")])
+    assert visitor.ask("POST", "/runs/note", by_another)[0] == 400
     assert visitor.get("/runs/trend.svg").lstrip().startswith("<?xml")
     visitor.post(f"/job/{job.partition('=')[2]}/repeat")
     assert visitor.where != job
     visitor.until(visitor.where, lambda text: 'class="result' in text)
-    both = re.findall(r'name="run" value="([^"]*)"', visitor.until("/runs", lambda text: "2 runs" in text))
+    both = re.findall(r'name="run" value="([^"]*)"', visitor.until("/runs", lambda text: "Runs: 2<" in text))
     body = "&".join(f"run={one}" for one in both)
     assert "lock-in rate" in visitor.ask("POST", "/runs/compare", body)[2]
 
@@ -362,12 +365,12 @@ def test_stop_and_go_on(panel: dict[str, str]) -> None:
     visitor.until(visitor.where, lambda text: "records saved" in text)
     visitor.post(f"/job/{visitor.where.partition('=')[2]}/stop")
     visitor.until(visitor.where, lambda text: "ended with exit code" in text)
-    assert "1 runs" in visitor.get("/runs")
+    assert "Runs: 1<" in visitor.get("/runs")
     # once more is a new run, also of one that was gone on with; a page that is no number is the first
     visitor.post(f"/job/{visitor.where.partition('=')[2]}/repeat")
     visitor.until(visitor.where, lambda text: "records saved" in text)
     visitor.post(f"/job/{visitor.where.partition('=')[2]}/stop")
-    visitor.until("/runs?from=abc", lambda text: "2 runs" in text)
+    visitor.until("/runs?from=abc", lambda text: "Runs: 2<" in text)
 
 
 def test_a_killed_panel_costs_nothing_and_the_next_one_finds_the_measurement(tmp_path: Path) -> None:

@@ -17,7 +17,7 @@ import sqlite3
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing, suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 INDEX_FILE = ".gyrolock-index.sqlite"
-_VERSION = 2
+_VERSION = 3
 _APPLICATION = 0x47_59_4C_49  # "GYLI"
 _MANY = 200  # runs: so many are looked at before anybody asks what takes so long
 _AT_ONCE = 500  # looked at between two commits: what was seen is kept when the look is interrupted
@@ -200,6 +200,7 @@ class Entry:
     values: tuple[Value, ...] = ()  # what the result begins with; empty for a run that was never evaluated
     verdict: str | None = None
     standing: str | None = None  # whether the result holds
+    limits: dict[str, float] = field(default_factory=dict)  # what it was judged by, by name of the number
     instrument_serial: str | None = None
     software: str | None = None
     mark: str | None = None  # what was said of it afterwards; remarks are plain JSON
@@ -273,6 +274,7 @@ def read_entry(file: Path, name: str) -> Entry | None:
         ),
         verdict=document.get("verdict"),
         standing=document.get("standing"),
+        limits={one["name"]: one["limit"] for one in document.get("limits", ())},
         instrument_serial=identity.get("serial"),
         software=made.get("gyrolock"),
         problem=problem,
@@ -496,12 +498,34 @@ def draw_trend(figure: Figure, series: Series) -> None:
                 axes.plot([when], [number], marker, ms=4.5, mfc=fill, mec=colour, zorder=3)
                 if entry.verdict == "FAIL":
                     axes.plot([when], [number], "x", ms=9, color=INK, zorder=4)
+        _draw_limits(axes, [one for values in units.values() for one in values])
         axes.set_ylabel(name)
         axes.ticklabel_format(axis="y", useOffset=False)
         legend_above(axes, columns=6)
     panels[-1, 0].set_xlabel(
         "when the run began, UTC (bars: 95 %; hollow: marked bad or fails its checks; x: FAIL)"
     )
+
+
+def _draw_limits(axes: Any, values: Sequence[tuple[Entry, Value]]) -> None:
+    """Draw what the runs were judged by; a limit far from all values is told in words and flattens nothing."""
+    judged = [
+        (entry.limits[value.limit_name], value) for entry, value in values if value.limit_name in entry.limits
+    ]
+    signed = any(min(value.value, value.low_95) < 0 for _, value in judged)  # limits are on sizes
+    low, high = axes.get_ylim()
+    for limit in sorted({limit for limit, _ in judged}):
+        ends = [
+            end
+            for end in ((limit, -limit) if signed else (limit,))
+            if abs(end - (low + high) / 2) < 2 * (high - low)
+        ]
+        label = f"limit {limit:g}" + (
+            "" if ends else ", above the picture" if limit > high else ", below the picture"
+        )
+        for end in ends or [math.nan]:
+            axes.axhline(end, color=INK, lw=1.0, ls=(0, (5, 3)), label=label, zorder=1)
+            label = ""
 
 
 def trend_size(series: Series) -> tuple[float, float]:

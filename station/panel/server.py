@@ -49,6 +49,7 @@ _VIEW_S = 1.0  # between two views of one measurement, for all its readers: a vo
 _KEEP_S = 15.0  # after so long without news a reader gets a line that says nothing
 _RUNS_KEPT_S = 2.0  # for so long a list of runs holds
 _ROWS = 100
+_DEEPEST, _LONGEST = 20, 2_000  # lines within lines, and characters, that are put into a language
 _SHOWN = {".html", ".jpg", ".png", ".svg", ".csv", ".json", ".xml", ".txt"}
 _SEVERAL = re.compile(r"[;,\s]+")
 
@@ -56,7 +57,8 @@ _SEVERAL = re.compile(r"[;,\s]+")
 @functools.cache
 def words(language: str) -> dict[str, Any]:
     """Return the words of a language, and under ``said`` what the program asks."""
-    return dict(tomllib.loads((PAGE / f"{language}.toml").read_text(encoding="utf-8")))
+    found = dict(tomllib.loads((PAGE / f"{language}.toml").read_text(encoding="utf-8")))
+    return found | {"said": {re.compile(pattern): text for pattern, text in found["said"].items()}}
 
 
 def put(said: str | None, language: str) -> str:
@@ -64,14 +66,14 @@ def put(said: str | None, language: str) -> str:
     return "\n".join(_line_put(line, language) for line in (said or "").split("\n"))
 
 
-def _line_put(line: str, language: str) -> str:
-    """A line, whose groups are lines themselves."""
+def _line_put(line: str, language: str, within: int = 0) -> str:
+    """A line, whose groups are lines themselves; an instrument may say one without end."""
     known = words(language)
     if isinstance(word := known.get(line), str) and line.isupper():
         return word
     for pattern, text in known["said"].items():
-        if found := re.fullmatch(pattern, line):
-            return str(text.format(*(_line_put(one, language) for one in found.groups())))
+        if within < _DEEPEST and len(line) < _LONGEST and (found := pattern.fullmatch(line)):
+            return str(text.format(*(_line_put(one, language, within + 1) for one in found.groups(""))))
     return line
 
 

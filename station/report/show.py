@@ -78,7 +78,7 @@ def render_report(evaluated: Shown) -> str:
     sections = evaluated.sections()
     if result.to_watch:
         sections = [*sections, Section("What to watch", sentences=result.to_watch)]
-    remarks = _remarks(evaluated.run.path)
+    remarks, folder = _remarks(evaluated.run.path), evaluated.run.path.parent.name
     if remarks.said:
         said = [f"{_time_of_day(one.at)}, {one.by}: {one.words}" if one.at else one.words for one in remarks.said]
         lost = [f"{remarks.unreadable} lines of its remarks cannot be read."] if remarks.unreadable else []
@@ -96,7 +96,8 @@ def render_report(evaluated: Shown) -> str:
         labels=[("quality", result.quality.partition(":")[0]), *_labels(facts, remarks)],
         sections=sections,
         fact_columns=[tables[:middle], tables[middle:]],
-        footer=_footer(evaluated),
+        footer=f"Made by gyrolock {version('gyrolock')} from the saved records of {folder}. "
+        f"`gyrolock analyze {folder}` computes the numbers again.",
     )
 
 
@@ -164,14 +165,6 @@ def _provenance_rows(facts: RunFacts) -> Rows:
     if facts.simulated:
         rows.append(("seed", str(facts.settings["simulation"]["seed"])))
     return rows
-
-
-def _footer(evaluated: Shown) -> str:
-    name = evaluated.run.path.parent.name
-    return (
-        f"Made by gyrolock {version('gyrolock')} from the saved records of {name}. "
-        f"`gyrolock analyze {name}` computes the numbers again."
-    )
 
 
 # --------------------

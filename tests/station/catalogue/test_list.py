@@ -4,18 +4,22 @@ import csv
 import io
 import json
 import os
+import re
 import shutil
 import sqlite3
 import subprocess
 import sys
 from contextlib import closing
 from pathlib import Path
+from xml.etree import ElementTree
 
 import pytest
 
-from station.catalogue import INDEX_FILE, Entry, RunFilter, chosen, list_runs
+from station.catalogue import INDEX_FILE, Entry, RunFilter, chosen, list_runs, write_trend
 from station.cli import main
 from station.errors import UsageError
+from station.results.numbers import LOCK_IN_RATE
+from station.results.quantity import Value
 from station.runs.store import open_run
 
 GOLDEN = Path(__file__).parents[2] / "golden"
@@ -133,6 +137,7 @@ def test_databases_of_others_links_and_hidden_folders(folder: Path) -> None:
 WRITER = """
 import sys
 from pathlib import Path
+from xml.etree import ElementTree
 from station.runs.store import NewRecord, RunWriter
 writer = RunWriter.create(Path(sys.argv[1]), {"command": "measure", "unit": "RLG 9"})
 for number in range(1, 4):
@@ -204,6 +209,27 @@ def test_the_command(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture
     assert [row["result_of"] for row in rows] == ["", "", "", "X", "Z"]
     value = open_run(folder / "2026/a").results["lock_in_rate_dps"]  # type: ignore[index]
     assert float(rows[0]["result"]) == value
+
+
+def test_a_trend_shows_what_the_runs_were_judged_by(tmp_path: Path) -> None:
+    def judged(size: float, u: float, limit: float | None) -> str:
+        value = Value(size, "deg/s", size - 2 * u, size + 2 * u, u=u, quantity=LOCK_IN_RATE)
+        limits = {} if limit is None else {value.limit_name: limit}
+        entries = [
+            Entry(str(day), "measure", f"2026-11-0{day}T00:00:00+00:00", unit="A", values=(value,), limits=limits)
+            for day in (1, 2)
+        ]
+        assert Entry.from_json(json.loads(json.dumps(entries[0].as_json()))).limits == limits
+        write_trend(tmp_path / "trend.svg", entries)
+        return (tmp_path / "trend.svg").read_text(encoding="utf-8")
+
+    assert "limit" not in judged(0.01, 1e-4, None)
+    assert re.search(r"limit 0\.0102\b(?!, )", judged(0.01, 1e-4, 0.0102))
+    assert "limit 0.5, above the picture" in judged(0.01, 1e-4, 0.5)
+    assert "limit 0.009, below the picture" in judged(0.01, 1e-5, 0.009)
+    drawn = ElementTree.fromstring(judged(-0.01, 4e-3, 0.015))  # a limit is on sizes: both ends are drawn
+    dashed = [one for one in drawn.iter() if "stroke-dasharray" in (one.get("style") or "")]
+    assert len(dashed) == 3  # and the one beside its name
 
 
 def test_what_cannot_be_done_is_one_line(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,7 +1,5 @@
 """`gyrolock panel`: what visitors may do, what buttons do, and that measurements do not depend on the panel."""
 
-import ast
-import importlib
 import json
 import os
 import re
@@ -10,20 +8,15 @@ import socket
 import subprocess
 import sys
 import tomllib
-from collections.abc import Callable, Iterator
-from dataclasses import replace
+from collections.abc import Iterator
 from pathlib import Path
-from unittest import mock
 from urllib.parse import urlencode
 
 import pytest
 
-from instrument import ManualRateTable
-from station.fibre_gyro.bench import SerialFogBench
-from station.fibre_gyro.settings import load_fog_settings
 from station.panel.forms import checked, form_of, measurements, settings_text
 from station.panel.guard import LARGEST_BODY
-from station.panel.server import PAGE, languages, put, words
+from station.panel.server import languages, words
 
 sys.path.insert(0, str(Path(__file__).parent))
 from visitor import Visitor, environment, running_panel
@@ -109,131 +102,6 @@ def test_one_holds_the_control_and_gives_it_away(panel: dict[str, str]) -> None:
     assert "Bo asks for the control" in first.get("/")
     first.post("/control/give")
     assert "You have the control" in second.post("/control/take", name="Bo")
-
-
-# ---- words
-
-
-def test_every_language_has_the_same_words() -> None:
-    assert languages() == ("en", "zh")
-    keys = {code: list(words(code)) for code in languages()}
-    assert keys["zh"] == keys["en"]
-    for code in languages():
-        said = {key: text for key, text in words(code).items() if isinstance(text, str)}
-        assert all(said.values())
-        for key, text in said.items():
-            assert text.count("{}") == words("en")[key].count("{}"), key
-
-
-def test_every_question_is_put_into_every_language() -> None:
-    """What is asked is made by those who ask; no English word may be left but names."""
-    asked: list[str] = []
-
-    def answers(*given: str) -> Callable[[str], str]:
-        left = iter(given)
-        return lambda question: asked.append(question) or next(left)
-
-    table = ManualRateTable(ask=answers("abc", "-3", "-3", "2", "x", "ok", "", ""))
-    for rate, why in ((5.0, "At 50.2 Hz hum of the mains would stand beside a harmonic of the beat."), (-5.0, "")):
-        table.why = why
-        if rate < 0:
-            table.doubt("12.3")
-            continue
-        table.set_rate(rate)
-    table.why = "Here lock-in shows in the beat. Records that are taken then: 8."
-    table.set_rate(2.0)
-    table.close()
-    bench = SerialFogBench(mock.MagicMock(), mock.MagicMock(), answers(*[""] * 99))
-    for name in ("figures", "temperature", "sensitivity"):
-        turning = {"figures": {"turn_on_rate_dps": 5.0}}
-        chosen = load_fog_settings(overrides=turning if name == "figures" else {})
-        for planned in importlib.import_module(f"station.fibre_gyro.{name}").plan(chosen)[:9]:
-            bench.prepare(replace(planned, conditions={**planned.conditions, "end_up": -1}))
-    assert len(asked) > 12
-    names = {"deg", "run", "GPIB", "USB", "abc", "magnetic", "field"}
-    for question in asked:
-        assert put(question, "en") == question
-        assert set(re.findall(r"[A-Za-z]{3,}", put(question, "zh"))) <= names, question
-
-
-def test_what_the_panel_itself_says_is_put_into_every_language() -> None:
-    said = []
-    for file in PAGE.parent.glob("*.py"):
-        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
-            refuses = isinstance(node, ast.Call) and getattr(node.func, "id", "") == "UsageError"
-            of_guard = isinstance(node, ast.Return) and isinstance(node.value, ast.Tuple) and file.stem == "guard"
-            if refuses or of_guard:
-                texts = [one for one in ast.walk(node) if isinstance(one, ast.Constant | ast.JoinedStr)]
-                text = next((one for one in texts if isinstance(one, ast.JoinedStr)), texts[-1])
-                parts = text.values if isinstance(text, ast.JoinedStr) else [text]
-                line = "".join(str(one.value) if isinstance(one, ast.Constant) else "7" for one in parts)
-                said += [line] if " " in line and "exit code" not in line else []
-    assert len(said) > 10
-    for line in said:
-        left = set(re.findall(r"[A-Za-z]{3,}", put(line, "zh"))) - {"gyrolock", "panel"}
-        assert left == set(), line
-
-
-@pytest.mark.parametrize("file", ["campaign/conduct.py", "campaign/journal.py", "results/verdict.py", "errors.py"])
-def test_what_is_said_of_a_campaign_is_put_into_every_language(file: str) -> None:
-    tree = ast.parse((PAGE.parents[1] / file).read_text(encoding="utf-8"))
-    inside = {part for one in ast.walk(tree) if isinstance(one, ast.JoinedStr) for part in ast.walk(one)}
-    bare = {one.value for one in ast.walk(tree) if isinstance(one, ast.Expr)}  # docstrings
-    said = []
-    for node in ast.walk(tree):
-        if isinstance(node, ast.JoinedStr):
-            said.append("".join(str(one.value) if isinstance(one, ast.Constant) else "7" for one in node.values))
-        elif isinstance(node, ast.Constant) and isinstance(node.value, str) and node not in inside | bare:
-            said.append(node.value)
-    said = [
-        one
-        for one in said
-        if one.count(" ") > 1 and re.search("[a-z]{3} [a-z]", one) and not re.search("%[s(]", one)
-    ]
-    assert said or file == "errors.py"
-    names = {"gyrolock", "guard", "band", "none", "resume", "DIR", "SIGTERM", "SIGHUP", "test", "journal"}
-    for line in said:
-        put_so = min((put(form.format(line), "zh") for form in ("{}", "7; {}", "7: 7; {}: 7")), key=_english)
-        assert set(re.findall(r"[A-Za-z]{3,}", put_so)) <= names, line
-
-
-def _english(text: str) -> int:
-    return len(re.findall(r"[A-Za-z]{3,}", text))
-
-
-def test_every_measurement_and_what_is_counted_has_a_name_in_every_language() -> None:
-    for title in (
-        *measurements().values(),
-        "records",
-        "tilt",
-        "logs",
-        "seconds of output",
-        "lock-in rate",
-        "ratio",
-    ):
-        assert put(title, "zh") != title
-
-
-def test_a_verdict_keeps_its_numbers() -> None:
-    said = "rate: FAIL rate: 0.0110 [0.0109, 0.0111] deg/s, at most 0.01 deg/s, margin -0.0010 deg/s"
-    in_chinese = put(said, "zh")
-    assert re.findall(r"[-\d.]+", in_chinese) == re.findall(r"[-\d.]+", said)
-    assert words("zh")["FAIL"] in in_chinese
-    assert not re.search("FAIL|most|margin", in_chinese)
-
-
-def test_no_sentence_stands_in_a_template() -> None:
-    for template in PAGE.glob("*.j2"):
-        text = re.sub(r"(?s)\{#.*?#\}|\{%.*?%\}|\{\{.*?\}\}|<[^>]*>", " ", template.read_text(encoding="utf-8"))
-        left = set(re.findall(r"[A-Za-z]{2,}", text)) - {"gyrolock", "deg", "VISA"}
-        assert left == set(), template.name
-    used = set(re.findall(r"\bw\.(\w+)", "".join(one.read_text(encoding="utf-8") for one in PAGE.glob("*.j2"))))
-    assert used - {"get"} <= set(words("en"))
-    code = (PAGE.parent / "server.py").read_text(encoding="utf-8")
-    code += "".join(one.read_text(encoding="utf-8") for one in PAGE.glob("*.j2"))
-    said_by_state = {"PASS", "FAIL", "MARGINAL", "ERROR", "ABORTED", "stands", "doubtful", "fails"}
-    for key in set(words("en")) - used - said_by_state - {f"means_{one}" for one in said_by_state}:
-        assert f'"{key}"' in code, key
 
 
 def test_the_language_of_the_browser_and_the_one_that_is_chosen(shared: dict[str, str]) -> None:

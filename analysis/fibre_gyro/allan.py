@@ -488,7 +488,7 @@ class _Likelihood:
             step = np.linalg.solve(curve, score * scale)
             if now < level - 1e-9:
                 share *= 0.5
-            done = abs(now - level) < 1e-5 and share > 0.1
+            done = abs(now - level) < 1e-6 and share > 0.1
             level = now
             if done or share < 1e-3:
                 break
@@ -565,10 +565,9 @@ class _Likelihood:
     def _scored(
         self, squares: dict[str, float], names: list[str], columns: list[str]
     ) -> tuple[float, Floats, Floats]:
-        """Logarithm of the likelihood, its derivatives with the squares, and Fisher's information."""
-        root = np.linalg.cholesky(self._total(squares))
-        half = np.tril(scipy.linalg.lapack.dpotri(root, lower=True)[0])
-        inverse = half + np.tril(half, -1).T
+        """Logarithm of the likelihood, its derivatives with the squares, and about the information on them."""
+        # The mean of what the record shows and of what is expected needs no product of matrices, as either would.
+        root, inverse = self._inverse(squares)
         left = self._increments
         if columns:
             design = np.column_stack([self._regressors[name] for name in columns])
@@ -576,21 +575,31 @@ class _Likelihood:
             left = left - design @ np.linalg.solve(design.T @ weighted, weighted.T @ left)
         seen = inverse @ left
         level = -float(np.log(np.diag(root)).sum()) - 0.5 * float(left @ seen)
-        products = [inverse @ self._parts[name] for name in names]
-        score = np.array(
-            [0.5 * (seen @ self._parts[n] @ seen - np.trace(p)) for n, p in zip(names, products, strict=True)]
-        )
-        information = np.array([[0.5 * np.sum(one * other.T) for other in products] for one in products])
+        moved = np.array([self._parts[name] @ seen for name in names])
+        score = 0.5 * (moved @ seen - [np.vdot(inverse, self._parts[name]) for name in names])
         model = np.asarray(sum(value * self._shapes[name] for name, value in squares.items()))
         ratio = self._power / model
         level -= float(self._number @ (np.log(model) + ratio))
         shares = np.array([self._shapes[name] / model for name in names])
         score += shares @ (self._number * (ratio - 1))
-        information += (shares * self._number) @ shares.T
-        return level, score, information
+        return level, score, 0.5 * moved @ inverse @ moved.T + (shares * self._number) @ shares.T
 
     def _information(self, squares: dict[str, float], names: list[str]) -> Floats:
-        return self._scored(squares, names, [])[2]
+        """Fisher's information on the squares."""
+        inverse = self._inverse(squares)[1]
+        products = [inverse @ self._parts[name] for name in names]
+        of_blocks = np.array([[0.5 * np.vdot(one, other.T) for other in products] for one in products])
+        model = np.asarray(sum(value * self._shapes[name] for name, value in squares.items()))
+        shares = np.array([self._shapes[name] / model for name in names])
+        return np.asarray(of_blocks + (shares * self._number) @ shares.T)
+
+    def _inverse(self, squares: dict[str, float]) -> tuple[Floats, Floats]:
+        """Lower root of the covariance of the increments, and its inverse."""
+        root = np.linalg.cholesky(self._total(squares))
+        half = scipy.linalg.lapack.dpotri(root, lower=True)[0]
+        inverse = half + half.T
+        np.fill_diagonal(inverse, half.diagonal())
+        return root, inverse
 
 
 def _spectrum(values: Floats, width: int, highest: float) -> tuple[Floats, Floats, Floats]:

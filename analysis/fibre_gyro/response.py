@@ -246,9 +246,9 @@ class _StepWords:
         return words, (words + 1) * self.h - begun[:, np.newaxis], filter_of
 
     def means(self, form: Form, since: Floats, filter_of: Floats) -> Floats:
-        """Of the words that end then, for a step of 1 at 0."""
-        area, before = (form.integral(np.maximum(one, 0.0), filter_of) for one in (since, since - self.h))
-        return np.asarray((area - before) / self.h)
+        """Of the words that end then, one after the other, for a step of 1 at 0."""
+        ends = np.maximum(np.column_stack([since[:, 0] - self.h, since]), 0.0)
+        return np.diff(form.integral(ends, filter_of)) / self.h
 
     def shape(self, at: Floats, form: Form) -> Floats:
         """Output of all steps for a gain of 1."""

@@ -4,6 +4,9 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 # Where it is set every command compiles our modules anew, which takes 1.4 s, and pytest all its tests.
 export PYTHONDONTWRITEBYTECODE :=
+# Matrices are small here: a second thread costs more than it saves, ten times as much where processes share the cores.
+export OPENBLAS_NUM_THREADS ?= 1
+export OMP_NUM_THREADS ?= 1
 RUNS   := $(VENV)/.runs
 READY  := $(VENV)/.ready
 LOWEST := .venv-lowest

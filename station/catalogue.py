@@ -63,7 +63,10 @@ def list_runs(directory: Path, *, progress: Progress | None = None) -> list[Entr
     entries = dict(unchanged)
     for seen in _looked_at(directory, [path for path in there if path not in unchanged], progress):
         entries |= seen
-        _remember(directory, {path: there[path] for path in seen}, seen)
+        rows = [
+            (path, there[path], json.dumps(entry.as_json()) if entry else None) for path, entry in seen.items()
+        ]
+        _change(directory, "INSERT OR REPLACE INTO run VALUES (?, ?, ?)", rows)
     if gone := [path for path in known if path not in there]:
         _change(directory, "DELETE FROM run WHERE path = ?", [(path,) for path in gone])
     found = [replace(entry, run=str(directory / entry.run)) for entry in entries.values() if entry is not None]
@@ -138,14 +141,6 @@ def _known(directory: Path) -> dict[str, tuple[str, Entry | None]]:
                 for path, stamp, entry in rows
             }
     return {}
-
-
-def _remember(directory: Path, stamps: Stamps, entries: Mapping[str, Entry | None]) -> None:
-    rows = [
-        (path, stamps[path], None if entry is None else json.dumps(entry.as_json()))
-        for path, entry in entries.items()
-    ]
-    _change(directory, "INSERT OR REPLACE INTO run VALUES (?, ?, ?)", rows)
 
 
 def _change(directory: Path, statement: str, rows: Sequence[tuple[str | None, ...]]) -> None:

@@ -595,9 +595,9 @@ class _Likelihood:
 
     def _inverse(self, squares: dict[str, float]) -> tuple[Floats, Floats]:
         """Lower root of the covariance of the increments, and its inverse."""
-        root = np.linalg.cholesky(self._total(squares))
+        root = np.asarray(np.linalg.cholesky(self._total(squares)))
         half = scipy.linalg.lapack.dpotri(root, lower=True)[0]
-        inverse = half + half.T
+        inverse = np.asarray(half + half.T)
         np.fill_diagonal(inverse, half.diagonal())
         return root, inverse
 

@@ -554,7 +554,9 @@ def take(settings: FogSettings, session: Acquisition) -> None:
 
     def ladder(run: SavedRun) -> list[PlannedSegment]:
         walk = angle_random_walk_of(run, settings)
-        session.note_left_out(_too_noisy(ladder_for(settings, walk), settings))
+        drowns = "its output drowns in the noise: to know it to a quarter takes {:.3g} s, longest_s is {:g}"
+        too_noisy, longest = ladder_for(settings, walk).too_noisy, _own(settings).longest_s
+        session.note_left_out({f"input {rate:g}": drowns.format(seconds, longest) for rate, seconds in too_noisy})
         return plan(settings, walk)
 
     stages = [lambda run: plan_noise(settings), ladder, lambda run: plan_refined(settings, run)]
@@ -580,14 +582,6 @@ def _named(row: LogRow, settings: FogSettings) -> NamedSegment:
         **{name: value for name, value in table_conditions(row).items() if name != "window_s"},
     }
     return f"{axis}{'' if end_up > 0 else ' down'} {rate:+.10g}{' reference' if reference else ''}", conditions
-
-
-def _too_noisy(ladder: Ladder, settings: FogSettings) -> dict[str, str]:
-    return {
-        f"input {rate:g}": f"its output drowns in the noise: it takes {seconds:.3g} s to know it to a quarter, "
-        f"and threshold.longest_s is {_own(settings).longest_s:g}"
-        for rate, seconds in ladder.too_noisy
-    }
 
 
 def _with_references(

@@ -115,7 +115,7 @@ def test_where_rounding_is_larger_than_the_noise(noise_range):
     ("noise_of", "periods_range"),
     [
         pytest.param(first_order(0.5), (5, 590), marks=pytest.mark.slow),
-        (first_order(0.9), (5, 590)),
+        pytest.param(first_order(0.9), (5, 590), marks=pytest.mark.slow),
         pytest.param(one_over_f, (5, 590), marks=pytest.mark.slow),
         (first_order(0.9), (2.5, 5)),
         (one_over_f, (2.5, 5)),

@@ -78,7 +78,7 @@ def test_what_is_no_noise_of_the_model_is_named(tmp_path: Path, noise: Noise, na
     ("noise", "corner"),
     [
         pytest.param(low_pass(30.0), 30.0, marks=pytest.mark.slow),
-        (low_pass(5.0), 5.0),
+        pytest.param(low_pass(5.0), 5.0, marks=pytest.mark.slow),
         (lambda rng, white: np.convolve(white, np.ones(10) / 10)[:SIZE], 0.443 * RATE / 10),
         pytest.param(
             lambda rng, white: np.convolve(white, np.ones(2) / 2)[:SIZE], 0.443 * RATE / 2, marks=pytest.mark.slow

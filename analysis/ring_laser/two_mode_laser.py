@@ -115,13 +115,42 @@ def steady_beat(laser: TwoModeLaser, input_rate: float) -> SteadyBeat:
     >>> round(float(abs(beat.beat[middle + 2] / beat.beat[middle + 1])), 4), round(beat.frequency, 2)
     (0.2679, 173.21)
     """
+    psi, logs, slowness = _path(laser, input_rate)
+    weight = slowness / np.mean(slowness)
+    orders = np.fft.rfftfreq(POINTS, 1 / POINTS)
+    ripple = np.fft.rfft(weight)
+    ripple[1:] /= 1j * orders[1:]
+    ripple[0] = 0
+    # Phase of the fundamental: the integral of its own speed, from 0 at psi = 0.
+    wave = np.fft.irfft(ripple, POINTS)
+    turned = np.abs(psi) + wave - wave[0]
+    # harmonics in time from a path in phase: c_n = (1/T) integral of x exp(-i n w t) (dt/dpsi) over psi
+    powers = np.multiply.accumulate(np.tile(np.exp(-1j * turned), (POINTS // 2, 1)))
+    kernel = np.concatenate([np.conj(powers[::-1]), np.ones((1, POINTS)), powers[:-1]]) * weight / POINTS
+    intensities = np.exp(logs)
+    field = np.sqrt(intensities[0] * intensities[1]) * np.exp(1j * psi)
+    return SteadyBeat(_frequency(slowness), kernel @ field, np.asarray(intensities @ kernel.T))
+
+
+def _frequency(slowness: Floats) -> float:
+    """Beats in a second, by the time that the phase takes for a radian at even steps of one turn."""
+    return 1 / (2 * np.pi * float(np.mean(slowness)))
+
+
+@lru_cache(maxsize=1024)
+def _path(laser: TwoModeLaser, input_rate: float) -> tuple[Floats, Floats, Floats]:
+    """Over one turn of the phase (`POINTS`,): it, ln I1 and ln I2 (2, n), and the time that it takes for a radian."""
     values = np.zeros((2, FEWEST))
     for rate in [input_rate, *(input_rate * np.array(DETOUR))]:
         found = _periodic(laser, float(rate), values)
         if found is not None:
             values = found
         if found is not None and rate == input_rate:
-            return _harmonics(laser, input_rate, values)
+            psi = _phases(POINTS, input_rate)
+            # An even number of points has no place for the highest line of the longest solution; it is rounding.
+            lines = np.fft.rfft(values)[:, : POINTS // 2] * (POINTS / values.shape[1])
+            logs = np.fft.irfft(lines, POINTS)
+            return psi, logs, 1 / np.abs(_slopes(laser, input_rate, psi, logs)[0])
     raise ValueError(
         f"the gyro is locked at {input_rate:.6g} deg/s, or its backscatter is too strong for its gain: "
         "there is no steady beat"
@@ -196,28 +225,6 @@ def _phases(n: int, input_rate: float) -> Floats:
     return np.asarray(np.sign(input_rate) * 2 * np.pi * np.arange(n) / n)
 
 
-def _harmonics(laser: TwoModeLaser, input_rate: float, values: Floats) -> SteadyBeat:
-    """Harmonics in time from a path in phase: c_n = (1/T) integral of x exp(-i n w t) (dt/dpsi) over psi."""
-    psi = _phases(POINTS, input_rate)
-    # An even number of points has no place for the highest line of the longest solution; it is rounding.
-    lines = np.fft.rfft(values)[:, : POINTS // 2] * (POINTS / values.shape[1])
-    logs = np.fft.irfft(lines, POINTS)
-    slowness = 1 / np.abs(_slopes(laser, input_rate, psi, logs)[0])
-    period = 2 * np.pi * float(np.mean(slowness))
-    weight = slowness / np.mean(slowness)
-    orders = np.fft.rfftfreq(POINTS, 1 / POINTS)
-    ripple = np.fft.rfft(weight)
-    ripple[1:] /= 1j * orders[1:]
-    ripple[0] = 0
-    # Phase of the fundamental: the integral of its own speed, from 0 at psi = 0.
-    wave = np.fft.irfft(ripple, POINTS)
-    turned = np.abs(psi) + wave - wave[0]
-    kernel = np.exp(-1j * np.outer(np.arange(POINTS) - POINTS // 2, turned)) * weight / POINTS
-    intensities = np.exp(logs)
-    field = np.sqrt(intensities[0] * intensities[1]) * np.exp(1j * psi)
-    return SteadyBeat(1 / period, kernel @ field, np.asarray(intensities @ kernel.T))
-
-
 @dataclass(frozen=True)
 class Winking:
     """Gain saturation of a laser with equal backscatter of both beams; its beat on the grid of rates."""
@@ -238,7 +245,7 @@ class Winking:
 
     def frequency(self, point: int) -> float:
         """Beat frequency in Hz at a point of the grid."""
-        return _beat(self, point).frequency
+        return _frequency(_path(_laser(self), rate_at(point, self.lock_in_rate))[2])
 
     def fringe(self, point: int) -> Complexes:
         """Light of the fringes sqrt(I1 I2) exp(i psi) over one period, evenly in time, at a point of the grid."""
@@ -250,16 +257,19 @@ class Winking:
         return np.asarray(light - light.mean())
 
 
-@lru_cache(maxsize=1024)
-def _beat(winking: Winking, point: int) -> SteadyBeat:
-    laser = symmetric_laser(
+def _laser(winking: Winking) -> TwoModeLaser:
+    return symmetric_laser(
         winking.lock_in_rate,
         scale_factor=winking.scale_factor,
         gain_corner_hz=winking.gain_corner_hz,
         phase_sum=winking.phase_sum,
         cross_saturation=winking.cross_saturation,
     )
-    return steady_beat(laser, rate_at(point, winking.lock_in_rate))
+
+
+@lru_cache(maxsize=1024)
+def _beat(winking: Winking, point: int) -> SteadyBeat:
+    return steady_beat(_laser(winking), rate_at(point, winking.lock_in_rate))
 
 
 def _over_a_period(harmonics: Complexes) -> Complexes:

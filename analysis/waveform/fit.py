@@ -70,6 +70,7 @@ COLOURFUL = 2.0
 """Variance factor from which on a smooth motion leaves so much about the beat that the exact one is asked too."""
 
 MOVING_AT_ONCE = 256  # records with a motion that are worked on together
+LEVELS_AT_ONCE = 16  # and these, whose polynomials stay in the cache
 
 N_PARAMETERS = 6
 FEWEST_SAMPLES = 12
@@ -285,7 +286,7 @@ def _judged(
     # A residual as small as this cannot come from a motion that would move the ratio.
     asked &= power > TRACKED_FROM**2 * np.abs(series.first) ** 2 * count
     motions = _followed(
-        records, masks, series, covariance, np.flatnonzero(asked), fatal, repeated, power / np.maximum(free, 1)
+        records, masks, series, np.flatnonzero(asked), fatal, repeated, power / np.maximum(free, 1)
     )
     for rows, moved, again, is_small, compared[rows] in motions:
         sidebands = power[rows] / beat_power[rows]
@@ -372,14 +373,7 @@ def _look_closer(
 
 
 def _followed(
-    records: Records,
-    masks: Masks,
-    series: Series,
-    covariance: Floats,
-    rows: Indices,
-    fatal: Bools,
-    repeated: Bools,
-    variance: Floats,
+    records: Records, masks: Masks, series: Series, rows: Indices, fatal: Bools, repeated: Bools, variance: Floats
 ) -> Iterator[tuple[Indices, MovingFits, ResidualReport, bool, bool]]:
     """Those of some records that a motion explains, with what it leaves of them."""
     # and whether it is so small that a steady rate is not far, and whether the parts have been compared
@@ -404,9 +398,9 @@ def _followed(
         quiet = never_alone(np.flatnonzero(asked & ~fatal[some] & masks.whole(some)))
         if quiet.size:
             here = some[quiet]
-            moved, is_small = small_motions(left[quiet], series.take(here), covariance[here])
-            if (small := never_alone(np.flatnonzero(is_small))).size:
-                moved, here = moved.take(small), here[small]
+            small, moved = small_motions(left[quiet], series.take(here))
+            if small.size:
+                here = here[small]
                 again = left_by_motion(here, moved)
                 settled = never_alone(np.flatnonzero(again.flags == 0))
                 if settled.size:
@@ -453,18 +447,19 @@ def _followed(
 
 def _following_the_level(values: Samples, masks: Masks, rows: Indices, moved: MovingFits) -> tuple[Floats, Bools]:
     """What `by_level` says of records (r, N); rounding without noise follows the level too, and is known."""
-    level, rms = values - moved.left, np.sqrt(moved.variance)
+    level, rms, left = values - moved.left, np.sqrt(moved.variance), moved.left.astype(np.float64)
     spacing = level_spacing(values, rms)
+    for place in np.flatnonzero(spacing):
+        one = slice(place, place + 1)
+        left[one] -= mean_rounding(level[one], values[one], spacing[one], rms[one])
     hidden, sure = np.zeros(rows.size), np.zeros(rows.size, dtype=bool)
-    for place, row in enumerate(rows):
-        here = slice(place, place + 1)
-        left = moved.left[here]
-        if spacing[place]:
-            left = left - mean_rounding(level[here], values[here], spacing[here], rms[here])
-        mask = masks.of_one(row)
+    whole = masks.whole(rows)
+    together = np.flatnonzero(whole)
+    parts = [together[first : first + LEVELS_AT_ONCE] for first in range(0, together.size, LEVELS_AT_ONCE)]
+    for part in [*parts, *np.flatnonzero(~whole)[:, np.newaxis]]:
+        mask = None if whole[part[0]] else masks.of_one(rows[part[0]])
         valid = slice(None) if mask is None else mask > 0
-        degrees = float(moved.degrees[place])
-        hidden[place], sure[place] = by_level(left[0, valid].astype(np.float64), level[place, valid], degrees)
+        hidden[part], sure[part] = by_level(left[part][:, valid], level[part][:, valid], moved.degrees[part])
     return hidden, sure
 
 

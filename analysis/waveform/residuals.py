@@ -8,7 +8,6 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
-import scipy.linalg
 import scipy.special
 
 from analysis.arrays import Bools, Complexes, Floats, Indices, Ints, Samples
@@ -544,22 +543,26 @@ def repeating(power: Samples, line: float, n_samples: int) -> tuple[float, bool]
     return (surplus if chance < SEEN else 0.0), chance < SURE
 
 
-def by_level(left: Floats, level: Floats, degrees: float) -> tuple[float, bool]:
-    """Size (as an amplitude) that may hide on the second harmonic behind what follows the level in a residual."""
+def by_level(left: Floats, level: Floats, degrees: Floats) -> tuple[Floats, Bools]:
+    """Sizes (as amplitudes, (R,)) that may hide on the second harmonic behind what follows the level."""
     # Where rate or baseline moves, what a curved or damaged characteristic leaves has no frequency of its own. It
-    # is a function of the level yet, and polynomials of that take it up.
-    lowest, highest = float(level.min()), float(level.max())
-    place = (2 * level - lowest - highest) / max(highest - lowest, NOTHING)
-    columns = np.polynomial.chebyshev.chebvander(place, LAST)
-    factor = np.linalg.cholesky(columns.T @ columns + NOTHING * np.eye(LAST + 1))
+    # is a function of the level yet, and polynomials of that (Chebyshev's) take it up.
+    lowest, highest = level.min(axis=1, keepdims=True), level.max(axis=1, keepdims=True)
+    place = (2 * level - lowest - highest) / np.maximum(highest - lowest, NOTHING)
+    columns = np.empty((len(left), LAST + 1, left.shape[1]))
+    columns[:, 0], columns[:, 1] = 1.0, place
+    for order in range(2, LAST + 1):
+        columns[:, order] = 2 * place * columns[:, order - 1] - columns[:, order - 2]
+    factor = np.linalg.cholesky(columns @ columns.transpose(0, 2, 1) + NOTHING * np.eye(LAST + 1))
     # offset and amplitude are fitted
-    along = scipy.linalg.solve_triangular(factor, columns.T @ left, lower=True)[2:]
-    found, number = float(along @ along), along.size
-    free = max(degrees - number, 1.0)
-    variance = max(float(left @ left) - found, NOTHING) / free
-    chance = float(scipy.special.fdtrc(number, free, found / number / variance))
-    surplus = max(found - number * variance, 0.0)
-    return (HIDDEN * float(np.sqrt(2 * surplus / left.size)) if chance < SEEN else 0.0), chance < SURE
+    along = np.linalg.solve(factor, columns @ left[..., np.newaxis])[:, 2:, 0]
+    found, number = np.vecdot(along, along), along.shape[1]
+    free = np.maximum(degrees - number, 1.0)
+    variance = np.maximum(np.vecdot(left, left) - found, NOTHING) / free
+    chance = scipy.special.fdtrc(number, free, found / number / variance)
+    surplus = np.maximum(found - number * variance, 0.0)
+    hidden = np.where(chance < SEEN, HIDDEN * np.sqrt(2 * surplus / left.shape[1]), 0.0)
+    return hidden, np.asarray(chance < SURE)
 
 
 HEIGHTS, FINE = 200, 60

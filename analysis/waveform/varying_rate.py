@@ -4,15 +4,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
 from itertools import product
+from typing import Any
 
 import numpy as np
 import scipy.linalg
 from numpy.polynomial import legendre
+from numpy.typing import NDArray
 
 from analysis.arrays import Bools, Complexes, Floats, Indices, Ints, Samples
 from analysis.flags import Flag
+from analysis.waveform.frequency import never_alone
 from analysis.waveform.residuals import line_stands_out
-from analysis.waveform.series import Series, data_sums
+from analysis.waveform.series import Series, data_sums, phasors
 from analysis.waveform.smooth_phase import AT_ENDS, OTHERS, Paths, fit_smooth_phase, knots_of
 from analysis.waveform.trajectory import HIGHEST, Fitted, SampledRecord, Terms, Trajectory, polynomials
 
@@ -647,11 +650,8 @@ def _have_direction(left: Floats, series: Series, line: Floats, floor: Floats) -
 def _about_beat(left: Floats, series: Series, line: Floats) -> tuple[Complexes, Complexes, Indices]:
     """Lines of what moves amplitude and phase of the fundamental, (R, K) from the first on, and how many count."""
     n_samples = left.shape[1]
-    time = np.arange(n_samples) - (n_samples - 1) / 2
-    angle = (series.omega[:, np.newaxis] * time + np.angle(series.first)[:, np.newaxis]).astype(np.float32)
-    samples = np.empty(left.shape, dtype=np.complex64)  # single precision is enough for what is left
-    samples.real, samples.imag = left * np.cos(angle), -left * np.sin(angle)
-    turned = np.fft.fft(samples)
+    turned = np.fft.fft(left.astype(np.float32) * np.conj(_turns(series, n_samples)))
+    turned *= np.exp(-1j * np.angle(series.first))[:, np.newaxis]
     number = np.arange(1, min(MOST_BESIDE, n_samples // 2 - 1) + 1)
     above, below = turned[:, number], np.conj(turned[:, -number])
     reach = np.maximum(BESIDE * line, 1.0).astype(np.intp)
@@ -659,54 +659,83 @@ def _about_beat(left: Floats, series: Series, line: Floats) -> tuple[Complexes, 
     return np.where(inside, above + below, 0.0), np.where(inside, (above - below) / 1j, 0.0), reach
 
 
+def _turns(series: Series, n_samples: int) -> NDArray[np.complexfloating[Any, Any]]:
+    """exp(i w t) (R, N), in single precision: enough for what a steady fit leaves."""
+    index = np.arange(n_samples, dtype=np.float64) - (n_samples - 1) / 2
+    return phasors(series.omega, index, np.dtype(np.float32))
+
+
 # --------------------
-# A motion that is so small that no fit is worth it: the steady fit with a known correction.
+# A motion that is so small that no fit of a path is worth it: the phase moves by its own lines about the
+# fundamental, and the steady fit takes one step more along the moved phase.
 #
-# A phase that departs by s rad (rms) takes 3 s^2/2 of the ratio. Its sidebands end where the record does, and
-# their feet reach the second harmonic: there they add 0.2 to 0.4 s/periods (rms) to the ratio
+# Where a record ends elsewhere than it begins, these lines fall as slowly as those of a ramp, J/(2 pi k), and
+# reach the second harmonic. The upper half of those that are looked at tells J; where they are not those of a ramp
+# and noise, it is no small motion
 
 
-LARGEST_SMALL, FEET = 0.015, 0.35  # rad; foot on the second harmonic over s, times the periods
-HARMLESS = 0.35  # what that foot may be, in standard uncertainties of the ratio by noise
-STEADY_AMPLITUDE = 4.0  # standard deviations of noise by which the amplitude may move
+LARGEST_SMALL, RISE = 0.06, 0.45  # rad rms; of the ratio, over the square of it, that the step may miss
+HARMLESS = 0.35  # what it misses, in standard uncertainties of the ratio by noise
+STEPS_AT_ONCE = 16  # records whose samples stay in the cache
+STEADY = 4.0  # standard deviations of noise by which the amplitude, or the upper lines, may differ from it
 
 
-def small_motions(left: Floats, series: Series, covariance: Floats) -> tuple[MovingFits, Bools]:
-    """Records by what steady fits leave of them (R, N), all samples of which count, and where that is enough."""
-    n_records, n_samples = left.shape
+def small_motions(left: Floats, series: Series) -> tuple[Indices, MovingFits]:
+    """Of records of which steady fits leave (R, N), all samples of which count: those where that is enough."""
+    n_samples = left.shape[1]
     line = series.omega * n_samples / (2 * np.pi)
-    first, ratio = np.abs(series.first), np.abs(series.ratio)
     floor = np.median(np.abs(np.fft.rfft(left)[:, 1:]) ** 2, axis=1) / np.log(2)
     of_amplitude, of_phase, reach = _about_beat(left, series, line)
-    noise = 2 * np.minimum(reach, of_phase.shape[1]) * floor
+    number, last = np.arange(1, of_phase.shape[1] + 1), np.minimum(reach, of_phase.shape[1])
+    place = (np.arange(n_samples) - (n_samples - 1) / 2) / n_samples
+    ramp = np.fft.fft(place)[number]
+    upper = (number > last[:, np.newaxis] / 2) & (number <= last[:, np.newaxis])
+    n_upper, weight = np.count_nonzero(upper, axis=1), np.maximum(upper @ np.abs(ramp) ** 2, 1e-300)
+    jump = (np.where(upper, of_phase, 0.0) @ np.conj(ramp)).real / weight
+    even = np.where(number <= last[:, np.newaxis], of_phase - jump[:, np.newaxis] * ramp, 0.0)
+
+    def is_noise(lines: Complexes, count: Ints) -> Bools:
+        return np.asarray(np.sum(np.abs(lines) ** 2, axis=1) < 2 * count * floor * (1 + STEADY / np.sqrt(count)))
+
+    first, ratio = np.abs(series.first), np.abs(series.ratio)
     power = np.sum(np.abs(of_phase) ** 2, axis=1)
-    square = 2 * np.maximum(power - noise, 0.0) / (n_samples * first) ** 2
-    foot = FEET * np.sqrt(square) / line
-    small = (square < LARGEST_SMALL**2) & (foot < HARMLESS * np.sqrt(2 * floor) / (n_samples * first))
-    small &= np.sum(np.abs(of_amplitude) ** 2, axis=1) < noise * (1 + STEADY_AMPLITUDE / np.sqrt(reach))
-    phase = np.zeros((n_records, n_samples // 2 + 1), dtype=np.complex128)
-    phase[:, 1 : of_phase.shape[1] + 1] = of_phase
-    moved = np.fft.irfft(phase, n_samples)
-    time = np.arange(n_samples) - (n_samples - 1) / 2
-    angle = series.omega[:, np.newaxis] * time + np.angle(series.first)[:, np.newaxis]
-    rest = left + moved * np.sin(angle)
-    degrees = np.asarray(n_samples - 6.0 - 2.0 * reach, dtype=np.float64)
+    square = 2 * np.maximum(power - 2 * last * floor, 0.0) / (n_samples * first) ** 2
+    missed = np.hypot(np.sqrt(floor / weight) / (2 * np.pi * line * first), RISE * square * ratio)
+    small = (square < LARGEST_SMALL**2) & (missed < HARMLESS * np.sqrt(2 * floor) / (n_samples * first))
+    small &= (n_upper > 2) & is_noise(of_amplitude, last)
+    rows = never_alone(np.flatnonzero(small & is_noise(np.where(upper, even, 0.0), np.maximum(n_upper, 1))))
+    lines = np.zeros((rows.size, n_samples // 2 + 1), dtype=np.complex64)
+    lines[:, number] = even[rows]
+    phase = (np.fft.irfft(lines, n_samples) + jump[rows, np.newaxis] * place) / first[rows, np.newaxis]
+    step, inverse, rest = np.empty((rows.size, 6)), np.empty((rows.size, 6, 6)), np.empty(phase.shape)
+    for begin in range(0, rows.size, STEPS_AT_ONCE):
+        few = slice(begin, begin + STEPS_AT_ONCE)
+        step[few], inverse[few], rest[few] = _step_along(
+            phase[few], left[rows[few]], series.take(rows[few]), place
+        )
+    degrees = np.asarray(n_samples - 6.0 - 2.0 * reach[rows], dtype=np.float64)
     variance = np.vecdot(rest, rest) / degrees
-    grown = Series(series.offset, series.first * (1 + square / 2), series.ratio * (1 + 1.5 * square), series.omega)
-    nothing = np.zeros(n_records)
-    wander: Ints = np.full(n_records, int(Flag.RATE_WANDER), dtype=np.int64)
-    fits = MovingFits(
-        grown,
-        covariance * variance[:, np.newaxis, np.newaxis],
-        variance,
-        degrees,
-        rest,
-        small,
-        wander,
-        nothing,
-        nothing > 0,
-        nothing,
-        nothing + 1,
-        np.hypot(foot, 1.5 * square * ratio),
-    )
-    return fits, small
+    nothing, wander = np.zeros(rows.size), np.full(rows.size, int(Flag.RATE_WANDER), dtype=np.int64)
+    return rows, MovingFits(
+        series.take(rows).moved(step, n_samples), inverse * variance[:, np.newaxis, np.newaxis], variance, degrees,
+        rest, nothing == 0, wander, nothing, nothing > 0, nothing, nothing + 1, missed[rows],
+    )  # fmt: skip
+
+
+def _step_along(phase: Floats, left: Floats, series: Series, place: Floats) -> tuple[Floats, Floats, Floats]:
+    """Change of the parameters (R, 6) along a moved phase (R, N), its covariance over the noise, what is left."""
+    # g = z/(1 - q z) with z = exp(i phase) is the series of ratio q
+    turns = _turns(series, place.size)
+    first, q = (one[:, np.newaxis].astype(np.complex64) for one in (series.first, series.ratio))
+    before = (first * turns / (1 - q * turns)).real
+    turns *= np.exp(1j * phase.astype(np.float32))
+    shrink = 1 / (1 - q * turns)
+    g = turns * shrink
+    by_first = first * g
+    by_ratio, by_omega = by_first * g, by_first * shrink * (2j * place).astype(np.complex64)
+    of = (np.ones_like(before), g.real, -g.imag, by_ratio.real, -by_ratio.imag, by_omega.real)
+    columns = np.stack(of, axis=1)
+    rest = left.astype(np.float32) + (before - by_first.real)
+    inverse = np.linalg.inv((columns @ columns.transpose(0, 2, 1)).astype(np.float64))
+    step = (inverse @ (columns @ rest[..., np.newaxis]))[..., 0]
+    return step, inverse, rest - (step[:, np.newaxis].astype(np.float32) @ columns)[:, 0]

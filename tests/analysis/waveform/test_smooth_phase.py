@@ -65,23 +65,37 @@ def test_the_spline_finds_what_the_exact_equation_does(name):
         assert np.mean(smooth.series.omega) == pytest.approx(beat, rel=1.5e-4)
 
 
-def test_a_small_motion_needs_no_fit_and_its_loss_is_put_back(monkeypatch):
-    codes = codes_of(np.random.default_rng(15), "ripple 0.1 %, 1.5 cycles", COUNT)
-    by_fit = estimates(codes)
-    asked = []
+# rms of the phase, cycles in the record (it ends elsewhere than it begins), WL over rate, share that is small
+SMALL = [(0.008, 1.5, 0.07, 0.9), (0.02, 1.5, 0.4, 0.9), (0.04, 0.7, 0.04, 0.9), (0.045, 6.2, 0.02, 0.9)]
+SMALL += [(0.05, 2.3, 0.8, 0.0)]  # close to lock-in such a motion changes the ratio by more
 
-    def small(left, series, covariance):
-        moved, _ = waveform_small(left, series, covariance)
-        asked.append(len(left))
-        return moved, np.ones(len(left), dtype=bool)
 
-    waveform_small = waveform_fit.small_motions
-    monkeypatch.setattr(waveform_fit, "small_motions", small)
-    closed = estimates(codes)
-    assert asked
-    # 14 mrad take 0.03 % of the ratio; both agree to a part of their u of 1.2 %
-    assert np.mean(closed.lock_in_rate / by_fit.lock_in_rate - 1) == pytest.approx(0, abs=2e-3)
-    assert np.std(closed.lock_in_rate / by_fit.lock_in_rate) < 0.01
+@pytest.mark.parametrize(("rad", "cycles", "x", "share"), SMALL)
+def test_a_small_motion_needs_no_path_and_costs_nothing(monkeypatch, rad, cycles, x, share):
+    rng, count, rate = np.random.default_rng(15), 150, 0.5
+    swing = np.sqrt(2) * rad * cycles / (K * rate * INTERVAL * N)
+    beat = rate_varying_beat(
+        rate * (1 + ripple(swing, cycles)(rng, count)),
+        INTERVAL,
+        scale_factor=K,
+        lock_in_rate=np.full(count, x * rate),
+        initial_phase=rng.uniform(0, 2 * np.pi, count),
+        backscatter_phase=0.6,
+    )
+    codes = np.round(90 * beat + 1.2 * rng.standard_normal(beat.shape))
+    found, settled = waveform_fit.small_motions, []
+    monkeypatch.setattr(waveform_fit, "small_motions", lambda *given: settled.append(found(*given)) or settled[-1])
+    quickly = estimates(codes)
+    assert sum(len(rows) for rows, _ in settled) >= share * count
+    nothing = np.array([], dtype=np.intp), None
+    monkeypatch.setattr(waveform_fit, "small_motions", lambda *given: nothing)
+    by_path = estimates(codes)
+    for one in (quickly, by_path):
+        z = (one.lock_in_rate - x * rate) / one.lock_in_rate_u
+        # the scatter of 150 errors is known to 6 %
+        assert 0.8 < np.sqrt(np.mean(z**2)) < 1.2 and abs(z.mean()) < 0.3 and np.abs(z).max() < 4.5
+    assert np.median(quickly.lock_in_rate_u / by_path.lock_in_rate_u) == pytest.approx(1.0, abs=0.05)
+    assert np.std((quickly.lock_in_rate - by_path.lock_in_rate) / by_path.lock_in_rate_u) < 0.35
 
 
 @pytest.mark.parametrize(("cycles", "rad"), [(20.0, 1.5), (20.0, 0.5), (15.0, 1.0)])

@@ -3,6 +3,7 @@
     python -m benchmarks.reanalysis                      # 10 000 and 100 000 records, of one run and of many
     python -m benchmarks.reanalysis --records 1000000    # peak memory of `gyrolock analyze` too
     python -m benchmarks.reanalysis --several-rates      # runs at several rates, and the fit to all of them
+    python -m benchmarks.reanalysis --bench              # records of the default bench, of which some move
     python -m benchmarks.reanalysis --records 40000 --pairs 3     # one process against two, in turn
 
 Every figure is of a process of its own. The ratio is to estimating as many records that lie in memory as volts:
@@ -73,7 +74,7 @@ def report(records: int, *, several_rates: bool = False) -> None:
     say(f"\n{records} records, load of the machine {os.getloadavg()[0]:.1f}")
     say(f"{'':38}{'records/s':>10}{'CPU us':>8}{'ratio: wall':>13}{'CPU':>6}{'peak MB':>9}{'worker':>8}")
     for name, per_run in ((f"one run{at}", records), (f"runs of {PER_RUN}{at}", PER_RUN)):
-        with saved(records, per_run, several_rates=several_rates) as folder:
+        with saved(records, per_run, "make at rates" if several_rates else "make") as folder:
             alone = measured("estimates", folder, min(records, 40_000))
             each = alone.wall_s / min(records, 40_000), alone.cpu_s / min(records, 40_000)
             _line("estimates alone", alone, min(records, 40_000), each)
@@ -84,6 +85,23 @@ def report(records: int, *, several_rates: bool = False) -> None:
             _line(f"{name}, one result", measured(result, folder, records), records, each)
             if records >= MEMORY_FROM:
                 _memory(name, folder, one=per_run == records, rates=folder.parent / "rates.csv")
+
+
+def report_bench(records: int) -> None:
+    """Print what records of the default bench cost, beside steady ones in memory."""
+    say(f"\n{records} records of the default bench, load of the machine {os.getloadavg()[0]:.1f}")
+    say(f"{'':38}{'records/s':>10}{'CPU us':>8}{'ratio: wall':>13}{'CPU':>6}{'peak MB':>9}{'worker':>8}")
+    with saved(records, records, "make of bench") as folder:
+        steady = min(records, 40_000)
+        alone = measured("estimates", folder, steady)
+        each = alone.wall_s / steady, alone.cpu_s / steady
+        _line("estimates of steady records", alone, steady, each)
+        for processes in (1, 2):
+            words = f"to a table, {processes} process{'es' * (processes > 1)}"
+            _line(words, measured("table", folder, records, processes), records, each)
+        _line("one result", measured("result", folder, records), records, each)
+        if records >= MEMORY_FROM:
+            _memory("the run", folder, one=True, rates=Path("none"))
 
 
 def _line(name: str, done: Spent, records: int, alone: tuple[float, float]) -> None:
@@ -128,12 +146,12 @@ def pairs(records: int, count: int) -> None:
 
 
 @contextmanager
-def saved(records: int, per_run: int, *, several_rates: bool = False) -> Iterator[Path]:
+def saved(records: int, per_run: int, making: str = "make") -> Iterator[Path]:
     """A folder with so many records; made by another process, whose memory does not count."""
     with tempfile.TemporaryDirectory() as place:
         folder = Path(place) / "runs"
         folder.mkdir()
-        measured("make at rates" if several_rates else "make", folder, records, per_run)
+        measured(making, folder, records, per_run)
         yield folder
 
 
@@ -147,12 +165,16 @@ def main() -> None:
     parser.add_argument("--records", type=int)
     parser.add_argument("--pairs", type=int, default=0, help="compare one process with two so many times")
     parser.add_argument("--several-rates", action="store_true", help="runs at several rates")
+    parser.add_argument("--bench", action="store_true", help="records of the default bench")
     given = parser.parse_args()
     if given.pairs:
         pairs(given.records or 40_000, given.pairs)
         return
     for records in [given.records] if given.records else [10_000, 100_000]:
-        report(records, several_rates=given.several_rates)
+        if given.bench:
+            report_bench(records)
+        else:
+            report(records, several_rates=given.several_rates)
 
 
 if __name__ == "__main__":

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import math
+import tempfile
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +14,7 @@ SAMPLES, INTERVAL, SCALE_FACTOR = 2500, 2e-5, 2000.0
 PER_RUN = 100
 DIFFERENT = 2000
 LOCK_IN, TILT_DEG = 0.02, 60.0
+BENCH_RUNS = 5
 RATES = tuple(sense * LOCK_IN * multiple for multiple in (4, 8, 15, 30) for sense in (1, -1))
 """On the gyro's axis, deg/s, of a run at several rates."""
 FAST_TABLE_RATE, FAST_INTERVAL, FAST_RECORDS = 50.0, 2e-7, 4
@@ -128,3 +132,29 @@ def make_runs_at_rates(folder: Path, records: int, per_run: int) -> None:
                 writer.save_records(new)
         stated.append(f"{writer.path.relative_to(folder).as_posix()},{RATES[run % len(RATES)]},1e-7")
     (folder.parent / "rates.csv").write_text("\n".join([*stated, ""]), "utf-8")
+
+
+def make_runs_of_bench(folder: Path, records: int, per_run: int) -> None:
+    """Save so many records of the default bench, those of some of its runs again and again; some of them move."""
+    from station.cli import main as gyrolock
+    from station.runs.store import NewRecord, RunWriter, SavedRecord
+    from station.sources.find import open_source
+
+    with tempfile.TemporaryDirectory() as place:
+        for seed in range(BENCH_RUNS):
+            with contextlib.suppress(SystemExit), contextlib.redirect_stdout(io.StringIO()):
+                gyrolock(["measure", "--seed", str(seed), "--out", place, "--no-report", "--quiet"])
+        runs = [open_source(path) for path in sorted(Path(place).rglob("run.sqlite"))]
+        taken = [one for run in runs for one in run.records()]
+        facts = {name: getattr(runs[0].facts, name) for name in ("command", "settings", "simulated")}
+    fast, slow = ([one for one in taken if one.purpose == purpose] for purpose in ("tilt", "measure"))
+
+    def again(key: str, one: SavedRecord) -> NewRecord:
+        return NewRecord(key, one.purpose, one.header, one.payload, one.conditions)
+
+    for first in range(0, records, per_run):
+        with RunWriter.create(folder, facts) as writer:
+            writer.save_records([again(f"tilt, {number}", one) for number, one in enumerate(fast[:8])])
+            for begin in range(first, min(first + per_run, records), 2000):
+                numbers = range(begin, min(begin + 2000, first + per_run, records))
+                writer.save_records([again(f"measure, {n}", slow[n % len(slow)]) for n in numbers])

@@ -18,6 +18,7 @@ from benchmarks.reanalysis.records import (
     codes_of_beats,
     make_runs,
     make_runs_at_rates,
+    make_runs_of_bench,
 )
 
 IN_MEMORY, AT_ONCE = 5000, 1000
@@ -26,10 +27,10 @@ IN_MEMORY, AT_ONCE = 5000, 1000
 def main(mode: str, folder: Path, records: int, processes: int) -> None:
     """Do a piece of work: ``estimates``, ``table``, ``result``, ``combined``, or what makes records.
 
-    ``make`` and ``make at rates`` take for `processes` the records of a run; ``combined at rates`` knows the rates
-    of the runs from the file beside the folder.
+    ``make``, ``make at rates`` and ``make of bench`` take for `processes` the records of a run; ``combined at
+    rates`` knows the rates of the runs from the file beside the folder.
     """
-    making = {"make": make_runs, "make at rates": make_runs_at_rates}
+    making = {"make": make_runs, "make at rates": make_runs_at_rates, "make of bench": make_runs_of_bench}
     if mode in making:
         making[mode](folder, records, processes)
         processes = 1

@@ -263,18 +263,14 @@ def compiled(text: str) -> re.Pattern[str]:
         raise ValueError(f"is no regular expression: {error}") from None
 
 
-def _expression(text: str) -> str:
-    compiled(text)
-    return text
-
-
 def _with_a_group(text: str) -> str:
     if compiled(text).groups < 1:
         raise ValueError("needs a group in round brackets round what is meant")
     return text
 
 
-Expression = Annotated[str, AfterValidator(_expression)]  # regular expression that a whole answer is to match
+# regular expression that a whole answer is to match
+Expression = Annotated[str, AfterValidator(lambda text: compiled(text).pattern)]
 
 Meant = Annotated[str, AfterValidator(_with_a_group)]
 """Regular expression to be found in an answer, whose first group is what is meant."""

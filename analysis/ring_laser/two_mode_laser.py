@@ -139,7 +139,7 @@ def _frequency(slowness: Floats) -> float:
 
 @lru_cache(maxsize=1024)
 def _path(laser: TwoModeLaser, input_rate: float) -> tuple[Floats, Floats, Floats]:
-    """Over one turn of the phase (`POINTS`,): it, ln I1 and ln I2 (2, n), and the time that it takes for a radian."""
+    """Over one turn of the phase (`POINTS`,): it, ln I1 and ln I2 (2, n), and its time for a radian."""
     values = np.zeros((2, FEWEST))
     for rate in [input_rate, *(input_rate * np.array(DETOUR))]:
         found = _periodic(laser, float(rate), values)

@@ -10,16 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from station.errors import (
-    EXIT_OK,
-    CannotWrite,
-    Failure,
-    OutOfControl,
-    RunError,
-    StationError,
-    UsageError,
-    describe_failure,
-)
+from station.errors import EXIT_OK, CannotWrite, OutOfControl, RunError, StationError, UsageError, describe_failure
 from station.shell.options import display_options, json_option, shown, transcript_option
 from station.terminal import print_failure, print_json, remark, say, say_briefly
 
@@ -146,6 +137,7 @@ def _test(plan: CampaignPlan, given: dict[str, Any]) -> int:
     from station.campaign.bench import bench_in_use, disk_space
     from station.campaign.conduct import conduct
     from station.campaign.journal import station_log, test_to_resume
+    from station.campaign.record import write_record
 
     _check_bench(plan)
     if (room := disk_space(plan)).state == "bad":
@@ -162,7 +154,11 @@ def _test(plan: CampaignPlan, given: dict[str, Any]) -> int:
             evaluated: dict[str, Evaluated] = {}
             texts = {name: text or "" for name, text in labels.items()}
             outcome = conduct(plan, progress, **texts, resumed=resumed, evaluated=evaluated)
-            page, lost = _write_record(outcome, evaluated)
+            page, lost = None, None
+            try:
+                page = write_record(outcome, evaluated=evaluated).page
+            except RunError as error:
+                lost = describe_failure(error)
             code = outcome.exit_code if lost is None or outcome.failure is not None else lost.exit_code
             progress.end(code, outcome.message if lost is None else lost.message)
     _tell(outcome, given, page)
@@ -202,16 +198,6 @@ def _ask_for_unit(plan: CampaignPlan) -> None:
         f"Then: warm-up, and the steps of the test, {len(plan.steps)} in all.\n"
         "Press Enter when it is connected and switched on: "
     )
-
-
-def _write_record(outcome: CampaignOutcome, evaluated: dict[str, Evaluated]) -> tuple[Path | None, Failure | None]:
-    """Write the record of the test; its page, or what kept it from that."""
-    from station.campaign.record import write_record
-
-    try:
-        return write_record(outcome, evaluated=evaluated).page, None
-    except RunError as error:
-        return None, describe_failure(error)
 
 
 def _hand_on(line: str, record: Path) -> None:

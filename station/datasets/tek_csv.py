@@ -89,8 +89,11 @@ def _write(source: Source, folder: Path, done: Exported, taken: Counter[Path]) -
         file.write_bytes(text.encode("ascii"))
         done.files.append(str(file))
         done.records += 1
+    known = source.facts.settings.get("gyro", {}).get(SCALE_FACTOR.key())
     for one in dict.fromkeys(folder / purpose if len(purposes) > 1 else folder for purpose in purposes):
-        _write_side_file(one, source.facts)
+        if isinstance(known, int | float) and one.is_dir():
+            text = f"# of the gyro whose records these are\n[gyro]\nscale_factor_pulses_per_deg = {known!r}\n"
+            (one / _SIDE_FILE).write_text(text, encoding="utf-8")
 
 
 def _waveform(record: SavedRecord) -> Waveform:
@@ -114,11 +117,3 @@ def _keys(facts: RunFacts) -> Mapping[str, str]:
         keys |= {"Model Number": model.replace(" ", ""), "Serial Number": serial}
     version = "FV:" + firmware.rpartition("FV:")[2].split(" ")[0]
     return keys | ({"Firmware Version": version} if firmware else {})
-
-
-def _write_side_file(folder: Path, facts: RunFacts) -> None:
-    known = facts.settings.get("gyro", {}).get(SCALE_FACTOR.key())
-    if isinstance(known, int | float) and folder.is_dir():
-        line = f"scale_factor_pulses_per_deg = {known!r}"
-        text = f"# of the gyro whose records these are\n[gyro]\n{line}\n"
-        (folder / _SIDE_FILE).write_text(text, encoding="utf-8")

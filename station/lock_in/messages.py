@@ -159,7 +159,10 @@ def describe_rates(fit: RatesFit) -> tuple[str, ...]:
     """Sentences for the person who reads the result, the main one first."""
     sentences = [_value(fit), _distortion(fit), _gain(fit), _alternatives(fit), _third_order(fit), _bandwidth(fit)]
     sentences += [_test(fit), _left_out(fit), _phase(fit), _records(fit)]
-    sentences += [_locked(fit), _unused(fit), _mismatch(fit), _reference(fit)]
+    sentences += [_locked(fit), _unused(fit), _mismatch(fit)]
+    by_beat = "The rate was taken from the beat itself: an error of the scale factor"
+    by_rate = "The rates given were used: an error common to all of them"
+    sentences.append(f"{by_beat if fit.reference == 'beat' else by_rate} goes 1:1 into the lock-in rate.")
     return tuple(s for s in sentences if s)
 
 
@@ -376,14 +379,6 @@ def _mismatch(fit: RatesFit) -> str:
         "scale factor is wrong. With the beat as reference only the scale factor matters. If the rates are right, "
         f"the scale factor is {fit.scale_factor:.6g} ± {max(fit.scale_factor_u, 0.0):.2g} pulses per degree."
     )
-
-
-def _reference(fit: RatesFit) -> str:
-    if fit.reference == "beat":
-        return (
-            "The rate was taken from the beat itself: an error of the scale factor goes 1:1 into the lock-in rate."
-        )
-    return "The rates given were used: an error common to all of them goes 1:1 into the lock-in rate."
 
 
 def describe_frequencies(fit: FrequencyFit) -> tuple[str, ...]:

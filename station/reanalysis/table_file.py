@@ -397,9 +397,10 @@ class Csv(DelimitedTable):
                 for number, row in enumerate(reader, start=2):
                     if None in row or None in row.values():
                         raise RunError(f"{self.path}: line {number} is cut or has too many cells")
-                    read = _csv_row(row)
-                    if read is None:
-                        raise RunError(f"{self.path}: line {number} holds no number where one belongs")
+                    try:
+                        read = {name: _csv_value(name, text) for name, text in row.items()}
+                    except ValueError:
+                        raise RunError(f"{self.path}: line {number} holds no number where one belongs") from None
                     self._checked(read.get("schema_version"))
                     yield read
         except (OSError, UnicodeDecodeError, csv.Error) as error:
@@ -414,13 +415,6 @@ class Csv(DelimitedTable):
         told = ([inert(cell) if isinstance(cell, str) else cell for cell in row] for row in rows)
         csv.writer(text, lineterminator="\n").writerows(told)
         return text.getvalue()
-
-
-def _csv_row(row: Mapping[str, str]) -> dict[str, Any] | None:
-    try:
-        return {name: _csv_value(name, text) for name, text in row.items()}
-    except ValueError:
-        return None
 
 
 def _csv_value(name: str, text: str) -> Any:

@@ -70,7 +70,7 @@ COLOURFUL = 2.0
 """Variance factor from which on a smooth motion leaves so much about the beat that the exact one is asked too."""
 
 MOVING_AT_ONCE = 256  # records with a motion that are worked on together
-LEVELS_AT_ONCE = 16  # and these, whose polynomials stay in the cache
+LEVELS_AT_ONCE = 4  # and these, whose polynomials stay in the cache
 
 N_PARAMETERS = 6
 FEWEST_SAMPLES = 12
@@ -398,7 +398,7 @@ def _followed(
         quiet = never_alone(np.flatnonzero(asked & ~fatal[some] & masks.whole(some)))
         if quiet.size:
             here = some[quiet]
-            small, moved = small_motions(left[quiet], series.take(here))
+            small, moved = small_motions(records.values[here], left[quiet], series.take(here))
             if small.size:
                 here = here[small]
                 again = left_by_motion(here, moved)

@@ -310,8 +310,14 @@ def equations_by_samples(values: Samples, weights: Samples | None, series: Serie
 
 def drift_by_samples(values: Samples, weights: Samples | None, series: Series) -> tuple[Floats, Floats]:
     """By how much the complex ratio of fitted records would change from the middle to the end if it drifted."""
-    # The amplitude may drift beside it, by any share. One step from the minimum of a fit without.
-    change, covariance = step_by_samples(*_tangents(values, weights, series, drifting=True)).solve_and_invert()
+    # The amplitude may drift beside it, by any share. One step from the minimum of a fit without. Few records at a
+    # time: their derivatives stay in the cache.
+    found = []
+    for few in np.array_split(np.arange(len(values)), -(-len(values) // DRIFTS_AT_ONCE)):
+        some = None if weights is None else weights[few]
+        step = step_by_samples(*_tangents(values[few], some, series.take(few), drifting=True))
+        found.append(step.solve_and_invert())
+    change, covariance = (np.concatenate(part) for part in zip(*found, strict=True))
     return change[:, 7:], covariance[:, 7:, 7:]
 
 
@@ -457,7 +463,7 @@ def _invert(matrix: Floats) -> None:
 # of two short vectors, and all sums of a record become one small matrix product
 
 
-SUMS_AT_ONCE = 4500
+SUMS_AT_ONCE, DRIFTS_AT_ONCE = 4500, 16
 """Sums computed together: so few that a cache holds what they need, so many that the cost of calling NumPy does
 not count."""
 

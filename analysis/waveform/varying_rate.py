@@ -650,7 +650,7 @@ def _have_direction(left: Floats, series: Series, line: Floats, floor: Floats) -
 def _about_beat(left: Floats, series: Series, line: Floats) -> tuple[Complexes, Complexes, Indices]:
     """Lines of what moves amplitude and phase of the fundamental, (R, K) from the first on, and how many count."""
     n_samples = left.shape[1]
-    turned = np.fft.fft(left.astype(np.float32) * np.conj(_turns(series, n_samples)))
+    turned = np.fft.fft(left * np.conj(_turns(series, n_samples)))
     turned *= np.exp(-1j * np.angle(series.first))[:, np.newaxis]
     number = np.arange(1, min(MOST_BESIDE, n_samples // 2 - 1) + 1)
     above, below = turned[:, number], np.conj(turned[:, -number])
@@ -660,9 +660,10 @@ def _about_beat(left: Floats, series: Series, line: Floats) -> tuple[Complexes, 
 
 
 def _turns(series: Series, n_samples: int) -> NDArray[np.complexfloating[Any, Any]]:
-    """exp(i w t) (R, N), in single precision: enough for what a steady fit leaves."""
-    index = np.arange(n_samples, dtype=np.float64) - (n_samples - 1) / 2
-    return phasors(series.omega, index, np.dtype(np.float32))
+    """exp(i w t) (R, N)."""
+    return phasors(
+        series.omega, np.arange(n_samples, dtype=np.float64) - (n_samples - 1) / 2, np.dtype(np.float64)
+    )
 
 
 # --------------------
@@ -676,12 +677,12 @@ def _turns(series: Series, n_samples: int) -> NDArray[np.complexfloating[Any, An
 
 LARGEST_SMALL, RISE = 0.06, 0.45  # rad rms; of the ratio, over the square of it, that the step may miss
 HARMLESS = 0.35  # what it misses, in standard uncertainties of the ratio by noise
-STEPS_AT_ONCE = 16  # records whose samples stay in the cache
+STEPS_AT_ONCE = 8  # records whose samples stay in the cache
 STEADY = 4.0  # standard deviations of noise by which the amplitude, or the upper lines, may differ from it
 
 
-def small_motions(left: Floats, series: Series) -> tuple[Indices, MovingFits]:
-    """Of records of which steady fits leave (R, N), all samples of which count: those where that is enough."""
+def small_motions(values: Samples, left: Floats, series: Series) -> tuple[Indices, MovingFits]:
+    """Of whole records (R, N), of which steady fits leave something: those where that is enough; their fits."""
     n_samples = left.shape[1]
     line = series.omega * n_samples / (2 * np.pi)
     floor = np.median(np.abs(np.fft.rfft(left)[:, 1:]) ** 2, axis=1) / np.log(2)
@@ -704,14 +705,14 @@ def small_motions(left: Floats, series: Series) -> tuple[Indices, MovingFits]:
     small = (square < LARGEST_SMALL**2) & (missed < HARMLESS * np.sqrt(2 * floor) / (n_samples * first))
     small &= (n_upper > 2) & is_noise(of_amplitude, last)
     rows = never_alone(np.flatnonzero(small & is_noise(np.where(upper, even, 0.0), np.maximum(n_upper, 1))))
-    lines = np.zeros((rows.size, n_samples // 2 + 1), dtype=np.complex64)
+    lines = np.zeros((rows.size, n_samples // 2 + 1), dtype=np.complex128)
     lines[:, number] = even[rows]
     phase = (np.fft.irfft(lines, n_samples) + jump[rows, np.newaxis] * place) / first[rows, np.newaxis]
     step, inverse, rest = np.empty((rows.size, 6)), np.empty((rows.size, 6, 6)), np.empty(phase.shape)
     for begin in range(0, rows.size, STEPS_AT_ONCE):
         few = slice(begin, begin + STEPS_AT_ONCE)
         step[few], inverse[few], rest[few] = _step_along(
-            phase[few], left[rows[few]], series.take(rows[few]), place
+            phase[few], values[rows[few]], series.take(rows[few]), place
         )
     degrees = np.asarray(n_samples - 6.0 - 2.0 * reach[rows], dtype=np.float64)
     variance = np.vecdot(rest, rest) / degrees
@@ -722,20 +723,18 @@ def small_motions(left: Floats, series: Series) -> tuple[Indices, MovingFits]:
     )  # fmt: skip
 
 
-def _step_along(phase: Floats, left: Floats, series: Series, place: Floats) -> tuple[Floats, Floats, Floats]:
+def _step_along(phase: Floats, values: Samples, series: Series, place: Floats) -> tuple[Floats, Floats, Floats]:
     """Change of the parameters (R, 6) along a moved phase (R, N), its covariance over the noise, what is left."""
     # g = z/(1 - q z) with z = exp(i phase) is the series of ratio q
     turns = _turns(series, place.size)
-    first, q = (one[:, np.newaxis].astype(np.complex64) for one in (series.first, series.ratio))
-    before = (first * turns / (1 - q * turns)).real
-    turns *= np.exp(1j * phase.astype(np.float32))
+    first, q = series.first[:, np.newaxis], series.ratio[:, np.newaxis]
+    turns *= np.exp(1j * phase)
     shrink = 1 / (1 - q * turns)
     g = turns * shrink
     by_first = first * g
-    by_ratio, by_omega = by_first * g, by_first * shrink * (2j * place).astype(np.complex64)
-    of = (np.ones_like(before), g.real, -g.imag, by_ratio.real, -by_ratio.imag, by_omega.real)
-    columns = np.stack(of, axis=1)
-    rest = left.astype(np.float32) + (before - by_first.real)
-    inverse = np.linalg.inv((columns @ columns.transpose(0, 2, 1)).astype(np.float64))
+    by_ratio, by_omega = by_first * g, 2j * place * by_first * shrink
+    of = (np.ones(phase.shape), g.real, -g.imag, by_ratio.real, -by_ratio.imag, by_omega.real)
+    columns, rest = np.stack(of, axis=1), values - series.offset[:, np.newaxis] - by_first.real
+    inverse = np.linalg.inv(columns @ columns.transpose(0, 2, 1))
     step = (inverse @ (columns @ rest[..., np.newaxis]))[..., 0]
-    return step, inverse, rest - (step[:, np.newaxis].astype(np.float32) @ columns)[:, 0]
+    return step, inverse, rest - (step[:, np.newaxis] @ columns)[:, 0]

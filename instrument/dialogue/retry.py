@@ -94,10 +94,6 @@ class ComputerClock:
             time.sleep(seconds)
 
 
-def _say_nothing(text: str) -> None:
-    """Nobody wants to hear."""
-
-
 @dataclass(frozen=True)
 class Persistence:
     """What is done about a bad link.
@@ -123,7 +119,7 @@ class Persistence:
     attempts: int = 1
     reconnect_for: float = 0.0
     read_twice: bool = True
-    tell: Callable[[str], None] = _say_nothing
+    tell: Callable[[str], object] = str  # nobody hears it
     clock: RetryClock = field(default_factory=ComputerClock)
     answer_time: float = ANSWER_TIME
 

@@ -54,7 +54,8 @@ def uncertainties(numbers: Mapping[str, Any]) -> dict[str, float]:
     """The uncertainty of each number of an object, by its stem: the largest that stands there."""
     found: dict[str, float] = {}
     for name, value in numbers.items():
-        if isinstance(value, float) and "u" in name.split("_") and math.isfinite(value):
+        is_one = "u" in name.split("_") or name.startswith("contribution_")  # a line of a budget is one itself
+        if isinstance(value, float) and is_one and math.isfinite(value):
             found[stem(name)] = max(found.get(stem(name), 0.0), abs(value))
     for name, low in numbers.items():
         if "_low_95" not in name or not isinstance(low, float):

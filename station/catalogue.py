@@ -269,12 +269,19 @@ def read_entry(file: Path, name: str) -> Entry | None:
         ),
         verdict=document.get("verdict"),
         standing=document.get("standing"),
-        limits={one["name"]: one["limit"] for one in document.get("limits", ())},
+        limits=_limits_in(document),
         instrument_serial=identity.get("serial"),
         software=made.get("gyrolock"),
         problem=problem,
         **said,
     )
+
+
+def _limits_in(document: Mapping[str, Any]) -> dict[str, float]:
+    """Limits by the numbers that they are on, as far as a result says them."""
+    said = document.get("limits")
+    tested = [one for one in said if isinstance(one, dict)] if isinstance(said, list) else []
+    return {str(one.get("name")): one["limit"] for one in tested if isinstance(one.get("limit"), int | float)}
 
 
 def _document(row: tuple[Any, ...] | None) -> dict[str, Any]:

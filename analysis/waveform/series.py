@@ -333,10 +333,17 @@ def _tangents(
     values: Samples, weights: Samples | None, series: Series, *, drifting: bool
 ) -> tuple[Samples, Samples]:
     """Derivatives (R, P, N), with `drifting` by growth of amplitude and ratio too, and what the model leaves."""
-    n_records, n_samples = values.shape
-    outer, inner = record_grid(n_samples)
+    outer, inner = record_grid(values.shape[1])
     coarse, fine = (phasors(series.omega, index, values.dtype) for index in (outer, inner))
-    carrier = carrier_of(coarse, fine, n_samples)
+    carrier = carrier_of(coarse, fine, values.shape[1])
+    return tangents_along(carrier, values, weights, series, drifting=drifting)
+
+
+def tangents_along(
+    carrier: Phasors, values: Samples, weights: Samples | None, series: Series, *, drifting: bool = False
+) -> tuple[Samples, Samples]:
+    """The same for a fundamental (R, N) whose phase need not be even."""
+    n_records, n_samples = values.shape
     first, ratio = (p.astype(carrier.dtype)[:, np.newaxis] for p in (series.first, series.ratio))
     below = 1 - ratio * carrier
     wave = carrier * np.conj(below)

@@ -15,7 +15,7 @@ from analysis.arrays import Bools, Complexes, Floats, Indices, Ints, Samples
 from analysis.flags import Flag
 from analysis.waveform.frequency import never_alone
 from analysis.waveform.residuals import line_stands_out
-from analysis.waveform.series import Series, data_sums, phasors
+from analysis.waveform.series import Series, data_sums, phasors, step_by_samples, tangents_along
 from analysis.waveform.smooth_phase import AT_ENDS, OTHERS, Paths, fit_smooth_phase, knots_of
 from analysis.waveform.trajectory import HIGHEST, Fitted, SampledRecord, Terms, Trajectory, polynomials
 
@@ -711,9 +711,11 @@ def small_motions(values: Samples, left: Floats, series: Series) -> tuple[Indice
     step, inverse, rest = np.empty((rows.size, 6)), np.empty((rows.size, 6, 6)), np.empty(phase.shape)
     for begin in range(0, rows.size, STEPS_AT_ONCE):
         few = slice(begin, begin + STEPS_AT_ONCE)
-        step[few], inverse[few], rest[few] = _step_along(
-            phase[few], values[rows[few]], series.take(rows[few]), place
-        )
+        some = series.take(rows[few])
+        along = _turns(some, n_samples) * np.exp(1j * phase[few])
+        tangents, rest[few] = tangents_along(along, values[rows[few]].astype(np.float64), None, some)
+        step[few], inverse[few] = step_by_samples(tangents, rest[few]).solve_and_invert()
+        rest[few] -= (step[few, np.newaxis] @ tangents)[:, 0]
     degrees = np.asarray(n_samples - 6.0 - 2.0 * reach[rows], dtype=np.float64)
     variance = np.vecdot(rest, rest) / degrees
     nothing, wander = np.zeros(rows.size), np.full(rows.size, int(Flag.RATE_WANDER), dtype=np.int64)
@@ -721,20 +723,3 @@ def small_motions(values: Samples, left: Floats, series: Series) -> tuple[Indice
         series.take(rows).moved(step, n_samples), inverse * variance[:, np.newaxis, np.newaxis], variance, degrees,
         rest, nothing == 0, wander, nothing, nothing > 0, nothing, nothing + 1, missed[rows],
     )  # fmt: skip
-
-
-def _step_along(phase: Floats, values: Samples, series: Series, place: Floats) -> tuple[Floats, Floats, Floats]:
-    """Change of the parameters (R, 6) along a moved phase (R, N), its covariance over the noise, what is left."""
-    # g = z/(1 - q z) with z = exp(i phase) is the series of ratio q
-    turns = _turns(series, place.size)
-    first, q = series.first[:, np.newaxis], series.ratio[:, np.newaxis]
-    turns *= np.exp(1j * phase)
-    shrink = 1 / (1 - q * turns)
-    g = turns * shrink
-    by_first = first * g
-    by_ratio, by_omega = by_first * g, 2j * place * by_first * shrink
-    of = (np.ones(phase.shape), g.real, -g.imag, by_ratio.real, -by_ratio.imag, by_omega.real)
-    columns, rest = np.stack(of, axis=1), values - series.offset[:, np.newaxis] - by_first.real
-    inverse = np.linalg.inv(columns @ columns.transpose(0, 2, 1))
-    step = (inverse @ (columns @ rest[..., np.newaxis]))[..., 0]
-    return step, inverse, rest - (step[:, np.newaxis] @ columns)[:, 0]

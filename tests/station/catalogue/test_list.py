@@ -232,6 +232,17 @@ def test_a_trend_shows_what_the_runs_were_judged_by(tmp_path: Path) -> None:
     assert len(dashed) == 3  # and the one beside its name
 
 
+@pytest.mark.parametrize("limits", [None, "none", ["x", {}, {"name": "a"}, {"name": "b", "limit": "high"}]])
+def test_limits_that_are_none_do_not_stop_the_list(tmp_path: Path, limits: object) -> None:
+    file = keep(tmp_path, "a", "single")
+    with closing(sqlite3.connect(file)) as db, db:
+        (text,) = db.execute("SELECT value FROM result ORDER BY number DESC LIMIT 1").fetchone()
+        odd = json.dumps({**json.loads(text), "limits": limits})
+        db.execute("UPDATE result SET value = ? WHERE number = (SELECT max(number) FROM result)", (odd,))
+    (entry,) = list_runs(tmp_path)
+    assert entry.limits == {} and entry.values
+
+
 def test_what_cannot_be_done_is_one_line(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["runs", str(folder / "no")]) == 2
     assert main(["runs", str(folder), "--plot", "trend.bmp"]) == 2

@@ -10,8 +10,6 @@ program's default bench instead, as many of each time base as it has, and shows 
 from __future__ import annotations
 
 import argparse
-import contextlib
-import io
 import tempfile
 import time
 from collections import Counter
@@ -23,6 +21,7 @@ import numpy as np
 from analysis import estimate_lock_in, flag_names, rate_varying_beat
 from analysis.arrays import Floats
 from analysis.flags import Flag
+from benchmarks.reanalysis.records import default_runs
 from station.terminal import say
 
 N, INTERVAL, K, WL, RATE = 2500, 2e-5, 2000.0, 0.02, 0.3
@@ -101,15 +100,10 @@ def seconds(work: Callable[[], object]) -> float:
 def bench_codes(folder: str) -> dict[float, Floats]:
     """Records of each sampling interval from some runs of the default bench."""
     from instrument.waveform import Preamble
-    from station.cli import main as gyrolock
-    from station.sources.find import open_source
 
     found: dict[float, list[Floats]] = {}
-    for seed in range(BENCH_RUNS):
-        with contextlib.suppress(SystemExit), contextlib.redirect_stdout(io.StringIO()):
-            gyrolock(["measure", "--seed", str(seed), "--out", folder, "--no-report", "--quiet"])
-    for path in sorted(Path(folder).rglob("run.sqlite")):
-        for record in open_source(path).records():
+    for run in default_runs(Path(folder), BENCH_RUNS):
+        for record in run.records():
             if record.purpose == "measure":
                 interval = Preamble.parse(record.header).xincr
                 found.setdefault(interval, []).append(np.frombuffer(record.payload, dtype=np.int8).astype(float))

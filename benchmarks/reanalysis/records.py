@@ -7,8 +7,12 @@ import io
 import math
 import tempfile
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
+
+if TYPE_CHECKING:
+    from station.sources.batches import Source
 
 SAMPLES, INTERVAL, SCALE_FACTOR = 2500, 2e-5, 2000.0
 PER_RUN = 100
@@ -134,17 +138,23 @@ def make_runs_at_rates(folder: Path, records: int, per_run: int) -> None:
     (folder.parent / "rates.csv").write_text("\n".join([*stated, ""]), "utf-8")
 
 
-def make_runs_of_bench(folder: Path, records: int, per_run: int) -> None:
-    """Save so many records of the default bench, those of some of its runs again and again; some of them move."""
+def default_runs(folder: Path, count: int) -> list[Source]:
+    """Take so many runs of the default bench."""
     from station.cli import main as gyrolock
-    from station.runs.store import NewRecord, RunWriter, SavedRecord
     from station.sources.find import open_source
 
+    for seed in range(count):
+        with contextlib.suppress(SystemExit), contextlib.redirect_stdout(io.StringIO()):
+            gyrolock(["measure", "--seed", str(seed), "--out", str(folder), "--no-report", "--quiet"])
+    return [open_source(path) for path in sorted(folder.rglob("run.sqlite"))]
+
+
+def make_runs_of_bench(folder: Path, records: int, per_run: int) -> None:
+    """Save so many records of the default bench, those of some of its runs again and again; some of them move."""
+    from station.runs.store import NewRecord, RunWriter, SavedRecord
+
     with tempfile.TemporaryDirectory() as place:
-        for seed in range(BENCH_RUNS):
-            with contextlib.suppress(SystemExit), contextlib.redirect_stdout(io.StringIO()):
-                gyrolock(["measure", "--seed", str(seed), "--out", place, "--no-report", "--quiet"])
-        runs = [open_source(path) for path in sorted(Path(place).rglob("run.sqlite"))]
+        runs = default_runs(Path(place), BENCH_RUNS)
         taken = [one for run in runs for one in run.records()]
         facts = {name: getattr(runs[0].facts, name) for name in ("command", "settings", "simulated")}
     fast, slow = ([one for one in taken if one.purpose == purpose] for purpose in ("tilt", "measure"))

@@ -554,7 +554,8 @@ def take(settings: FogSettings, session: Acquisition) -> None:
 
     def ladder(run: SavedRun) -> list[PlannedSegment]:
         walk = angle_random_walk_of(run, settings)
-        drowns = "its output drowns in the noise: to know it to a quarter takes {:.3g} s, longest_s is {:g}"
+        drowns = "its output drowns in the noise: it takes {:.3g} s to know it to a quarter, and "
+        drowns += "threshold.longest_s is {:g}"
         too_noisy, longest = ladder_for(settings, walk).too_noisy, _own(settings).longest_s
         session.note_left_out({f"input {rate:g}": drowns.format(seconds, longest) for rate, seconds in too_noisy})
         return plan(settings, walk)

@@ -58,7 +58,17 @@ from analysis.lockin_equation import lock_in_from_beat, lock_in_from_rate
 from analysis.lockin_rate import LockInEstimate, size_interval
 from analysis.quadratures import QuadratureEstimate, QuadratureFlag, estimate_quadratures
 from analysis.rotation import earth_rate_on_axis
-from analysis.several_rates import Model, RatesFit, RatesFlag, ReceiverKnowledge, Reference, fit_again, fit_rates
+from analysis.several_rates import (
+    COUNTED,
+    Model,
+    RatesFit,
+    RatesFlag,
+    ReceiverKnowledge,
+    Reference,
+    fit_again,
+    fit_rates,
+)
+from analysis.single_beams import BeamsFit, BeamsFlag, fit_beams
 
 CANCEL_IN_THE_CHECK = ("noise", "scale_factor", "time_base")
 """Inputs of the budget that the check by the table has counted already, or that the tilt absorbs in it."""
@@ -93,7 +103,7 @@ def evaluate(
     # 3. the mean of all records, or each rate alone and then one fit
     several = None
     if axis is not None and np.unique(run.slow.table_rate).size > 1:
-        several = evaluate_rates(run.slow, each, axis, ReceiverKnowledge.of(knowledge.bench))
+        several = evaluate_rates(run, each, axis, knowledge)
     rates = None if axis is None else axis.rates
     combined = combine_estimates(each, rates) if several is None else combined_estimate(several)
     unknown = np.broadcast_to(math.nan, each.flags.shape)
@@ -131,7 +141,8 @@ def _checked_by_table(found: LockInRun, run: RunArrays, axis: AxisRates, knowled
     by_table = _one_rate_by_table(found, axis) if found.several is None else rates_by_table(found.several)
     if by_table is None or found.tilt is None or not found.usable:
         return found
-    each = found.each, fast_estimates(run.fast, knowledge)
+    beams = None if found.several is None else found.several.beams
+    each = without_push(found.each, axis, beams), fast_estimates(run.fast, knowledge)
     check = check_by_table(run, each, found.combined, by_table, axis, found.tilt, knowledge)
     flags = int(found.combined.flags)
     flags |= int(Flag.TABLE_MISMATCH) if check.mismatch else 0
@@ -179,6 +190,8 @@ class SeveralRates:
     # the other route: beat frequency against rate, without harmonics, scale factor free
     by_frequency: FrequencyFit | None = None
     problem: str = ""  # why there is no fit by the beat
+    beams: BeamsFit | None = None  # the fit with the single beams, whose lock-in rate is then that of `by_beat`
+    beams_problem: str = ""  # why there is none although they were recorded
 
     @property
     def reference_group(self) -> RateGroup:
@@ -193,9 +206,10 @@ class SeveralRates:
 
 
 def evaluate_rates(
-    slow: RecordArrays, each: LockInEstimate, axis: AxisRates, receiver: ReceiverKnowledge
+    run: RunArrays, each: LockInEstimate, axis: AxisRates, knowledge: RunKnowledge
 ) -> SeveralRates:
     """Combine the records at each rate, and fit all of them."""
+    slow, receiver = run.slow, ReceiverKnowledge.of(knowledge.bench)
     if each.rate_given or each.relation != "exact":
         raise OneRateOnly(
             "this run has several rates: they are fitted with the exact relation and their own rates"
@@ -218,7 +232,64 @@ def evaluate_rates(
     rates_u = axis.azimuth_u * np.sqrt(counts[place])
     by_beat, problem = _fit(each, axis, rates_u, "beat", receiver)
     by_table, _ = _fit(each, axis, rates_u, "rate", receiver)
-    return SeveralRates(tuple(groups), by_beat, by_table, _frequencies(each, axis, rates_u), problem)
+    beams, no_beams = None, ""
+    if run.beams is not None and by_beat is not None:
+        try:
+            beams = fit_beams(by_beat, run.beams, knowledge.beams, receiver)
+            by_beat = with_beams(by_beat, beams)
+        except NoFit as reason:
+            no_beams = str(reason)
+    by_frequency = _frequencies(without_push(each, axis, beams), axis, rates_u)
+    return SeveralRates(tuple(groups), by_beat, by_table, by_frequency, problem, beams, no_beams)
+
+
+def with_beams(fit: RatesFit, beams: BeamsFit) -> RatesFit:
+    """A fit of the beat alone, with what the single beams have settled of it."""
+    told = BeamsFlag.MISFIT, BeamsFlag.SEVERAL_SOLUTIONS, BeamsFlag.NOT_SIGNIFICANT
+    flags = fit.flags & ~_SETTLED | sum(RatesFlag[str(one.name)] for one in told if one & beams.flags)
+    gain_time, gain_u = 1 / beams.gain_rate, math.log(beams.gain_rate_high_95 / beams.gain_rate) / 1.96
+    return replace(
+        fit,
+        lock_in_rate=beams.lock_in_rate,
+        lock_in_rate_u=beams.lock_in_rate_u,
+        lock_in_rate_low_95=beams.lock_in_rate_low_95,
+        lock_in_rate_high_95=beams.lock_in_rate_high_95,
+        alternatives=(),
+        counted=fit.counted | set(COUNTED),
+        backscatter_phase=beams.backscatter_phase,
+        backscatter_phase_u=beams.backscatter_phase_u,
+        distortion=beams.distortion,
+        distortion_u=beams.distortion_u,
+        gain_time=gain_time,
+        gain_time_u=min(gain_u, 10.0) * gain_time,
+        flags=int(flags),
+    )
+
+
+_SETTLED = int(
+    RatesFlag.NOT_SIGNIFICANT
+    | RatesFlag.RATES_TOO_CLOSE
+    | RatesFlag.NOT_DETERMINED
+    | RatesFlag.NOT_TESTED
+    | RatesFlag.MISFIT
+    | RatesFlag.ONE_RATE_DISAGREES
+    | RatesFlag.RATE_AND_BEAT_DISAGREE
+    | RatesFlag.SEVERAL_SOLUTIONS
+    | RatesFlag.STATED_LIMITS_EXCEEDED
+)
+"""What is said of the beat alone, and no longer holds beside the beams."""
+
+
+def without_push(each: LockInEstimate, axis: AxisRates, beams: BeamsFit | None) -> LockInEstimate:
+    """The records with the beats that they would have without the push of the beams' difference."""
+    if beams is None:
+        return each
+
+    def freed(some: LockInEstimate, rows: slice) -> LockInEstimate:
+        push = beams.push_at(axis.rates[rows], some.beat_frequency)
+        return replace(some, beat_frequency=some.beat_frequency / (1 + push))
+
+    return each.changed(freed)
 
 
 def _fit(

@@ -16,6 +16,7 @@ from analysis.flags import FATAL, Flag
 from analysis.harmonics import fit_free_harmonics
 from analysis.lockin_equation import Relation
 from analysis.lockin_rate import LockInEstimate, estimate_lock_in, noise_model, with_ratio
+from analysis.single_beams import BeamModulation, BeamsKnowledge
 
 _RECORDS_AT_ONCE = 1000  # 20 MB of samples
 
@@ -66,6 +67,7 @@ class RunArrays:
 
     slow: RecordArrays  # those that show lock-in, at one rate or at several
     fast: RecordArrays  # those of the fast run, which shows the tilt; none where there was no table
+    beams: BeamModulation | None = None  # of the slow records, where the single beams were recorded
 
 
 @dataclass(frozen=True)
@@ -84,6 +86,7 @@ class RunKnowledge:
     # angle between gyro axis and table axis as it is known without the gyro; nan: it is not
     known_tilt_deg: float = math.nan
     known_tilt_u_deg: float = math.nan
+    beams: BeamsKnowledge = field(default_factory=BeamsKnowledge)  # of the channels of the single beams
 
     @property
     def relative_scale_u(self) -> float:

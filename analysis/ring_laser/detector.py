@@ -1,4 +1,4 @@
-"""What a photodiode and its amplifier make of the beat: readout phase, distortion, bandwidth, coupling.
+"""What a photodiode and its amplifier make of the beat, or of a single beam: phase, distortion, bandwidth, coupling.
 
 At a constant rate the detector's signal is a periodic function of the beat phase. Behind a filter its harmonic n
 is multiplied by the response at n f. The rate changes little in one period, so the harmonics are worked out on a
@@ -52,6 +52,8 @@ class Detector:
     # light of the single beams over that of the fringes: how much of their winking is seen
     single_beams: float = 0.0
     coupling_hz: float = 0.0  # corner of the AC coupling of what looks at the signal, as `ac_corner_hz`
+    beam: int = 0  # 1 or 2: it looks at that beam alone, and offset and amplitude are its light; 0: at the fringes
+    crosstalk_v: float = 0.0  # of the beat into the channel of a beam, V
 
     @property
     def filtered(self) -> bool:
@@ -62,10 +64,12 @@ class Detector:
         """The same detector with an amplifier for all frequencies."""
         return replace(self, low_pass_hz=0.0, ac_corner_hz=0.0, coupling_hz=0.0) if self.filtered else self
 
-    def volts(self, fringe: Complexes, backscatter_phase: float) -> Floats:
-        """Signal before any filter, V, for exp(i (phi + beta))."""
+    def volts(self, fringe: Complexes, backscatter_phase: float, light: Floats | float = 1.0) -> Floats:
+        """Signal before any filter, V, for exp(i (phi + beta)), and the light of the beam that it may look at."""
         turned = fringe * np.exp(1j * (self.readout_phase - backscatter_phase))
         s = turned.imag
+        if self.beam:
+            return np.asarray(self.offset + self.amplitude * (light - 1) + self.crosstalk_v * s, dtype=np.float64)
         distorted = s + self.second_order * s**2 + self.third_order * s**3
         return np.asarray(self.offset + self.amplitude * distorted, dtype=np.float64)
 
@@ -192,7 +196,7 @@ def _harmonics(gyro: Gyro, detector: Detector, point: int, sense: int) -> Comple
     amplitudes[1:] *= 2
     frequency = gyro.scale_factor * beat_rate_at(point)
     if gyro.winking is not None:
-        frequency = gyro.winking.frequency(point)
+        frequency = gyro.winking.frequency(point, sense)
     amplitudes = amplitudes * detector.response(frequency * np.arange(amplitudes.size, dtype=np.float64))
     kept = np.flatnonzero(np.abs(amplitudes) > _NEGLIGIBLE * np.abs(amplitudes).max())
     return np.asarray(amplitudes[: kept[-1] + 1] if kept.size else amplitudes[:1])
@@ -201,12 +205,12 @@ def _harmonics(gyro: Gyro, detector: Detector, point: int, sense: int) -> Comple
 def _one_period(gyro: Gyro, detector: Detector, point: int, sense: int) -> Floats:
     """Volts before any filter, evenly over one period of the beat."""
     if gyro.winking is not None:
-        fringe, pedestal = gyro.winking.fringe(point), gyro.winking.pedestal(point)
-        # the equations of equal beams are the same for the other sense, with the phase turned round
-        fringe = fringe if sense > 0 else np.conj(fringe)
-        return (
-            detector.volts(fringe, gyro.backscatter_phase) + detector.amplitude * detector.single_beams * pedestal
-        )
+        fringe, light = gyro.winking.fringe(point, sense), gyro.winking.light(point, sense)
+        if detector.beam:
+            return detector.volts(fringe, gyro.backscatter_phase, light[detector.beam - 1])
+        mean = light.mean(axis=0)
+        pedestal = detector.amplitude * detector.single_beams * (mean - mean.mean())
+        return np.asarray(detector.volts(fringe, gyro.backscatter_phase) + pedestal)
     rate = sense * rate_at(point, gyro.lock_in_rate)
     ratio = float(gyro.harmonic_ratio(np.array(rate)))
     # the harmonics that the grid cannot hold would fold back: they shall be negligible

@@ -21,7 +21,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from analysis.arrays import Complexes, Floats, Indices
+from analysis.arrays import Bools, Complexes, Floats, Indices
 
 POINTS = 512
 """Of one beat period; harmonics up to half of it, far more than a gyro at 1.05 times its threshold shows."""
@@ -66,6 +66,11 @@ class TwoModeLaser:
         return complex(a1 * np.exp(-0.5j * self.phase_sum) + a2 * np.exp(0.5j * self.phase_sum))
 
     @property
+    def numbers(self) -> Floats:
+        """a1, a2, eps/2, xi and g, (5,)."""
+        return np.array([*self.backscatter, self.phase_sum / 2, self.cross_saturation, self.gain_rate])
+
+    @property
     def lock_in_rate(self) -> float:
         """WL of equation (2), deg/s."""
         return abs(self.coupling) / (2 * np.pi * self.scale_factor)
@@ -83,10 +88,13 @@ def symmetric_laser(
     gain_corner_hz: float,
     phase_sum: float = 0.0,
     cross_saturation: float = 0.5,
+    backscatter_ratio: float = 1.0,
 ) -> TwoModeLaser:
-    """Laser with equal backscatter of both beams that locks at a given rate (deg/s); beta is 0 for |eps| < pi."""
-    each = np.pi * scale_factor * lock_in_rate / abs(np.cos(phase_sum / 2))
-    return TwoModeLaser(scale_factor, (each, each), phase_sum, 2 * np.pi * gain_corner_hz, cross_saturation)
+    """Laser that locks at a given rate (deg/s), its backscatter a2 over a1 1 where nobody says otherwise."""
+    together = abs(np.exp(-0.5j * phase_sum) + backscatter_ratio * np.exp(0.5j * phase_sum))
+    first = float(2 * np.pi * scale_factor * lock_in_rate / together)
+    each = first, backscatter_ratio * first
+    return TwoModeLaser(scale_factor, each, phase_sum, 2 * np.pi * gain_corner_hz, cross_saturation)
 
 
 @dataclass(frozen=True)
@@ -116,14 +124,7 @@ def steady_beat(laser: TwoModeLaser, input_rate: float) -> SteadyBeat:
     (0.2679, 173.21)
     """
     psi, logs, slowness = _path(laser, input_rate)
-    weight = slowness / np.mean(slowness)
-    orders = np.fft.rfftfreq(POINTS, 1 / POINTS)
-    ripple = np.fft.rfft(weight)
-    ripple[1:] /= 1j * orders[1:]
-    ripple[0] = 0
-    # Phase of the fundamental: the integral of its own speed, from 0 at psi = 0.
-    wave = np.fft.irfft(ripple, POINTS)
-    turned = np.abs(psi) + wave - wave[0]
+    turned, weight = beat_phase(psi, slowness)
     # harmonics in time from a path in phase: c_n = (1/T) integral of x exp(-i n w t) (dt/dpsi) over psi
     powers = np.multiply.accumulate(np.tile(np.exp(-1j * turned), (POINTS // 2, 1)))
     kernel = np.concatenate([np.conj(powers[::-1]), np.ones((1, POINTS)), powers[:-1]]) * weight / POINTS
@@ -150,7 +151,9 @@ def _path(laser: TwoModeLaser, input_rate: float) -> tuple[Floats, Floats, Float
             # An even number of points has no place for the highest line of the longest solution; it is rounding.
             lines = np.fft.rfft(values)[:, : POINTS // 2] * (POINTS / values.shape[1])
             logs = np.fft.irfft(lines, POINTS)
-            return psi, logs, 1 / np.abs(_slopes(laser, input_rate, psi, logs)[0])
+            sagnac = np.array([2 * np.pi * laser.scale_factor * input_rate])
+            speed = _slopes(laser.numbers[np.newaxis], sagnac, psi[np.newaxis], logs[np.newaxis])[0][0]
+            return psi, logs, 1 / np.abs(speed)
     raise ValueError(
         f"the gyro is locked at {input_rate:.6g} deg/s, or its backscatter is too strong for its gain: "
         "there is no steady beat"
@@ -159,65 +162,105 @@ def _path(laser: TwoModeLaser, input_rate: float) -> tuple[Floats, Floats, Float
 
 def _periodic(laser: TwoModeLaser, input_rate: float, start: Floats) -> Floats | None:
     """ln I1 and ln I2 (2, n) at n even steps of the phase over one turn, n as large as it must be; or None."""
-    n = start.shape[1]
-    while (values := _newton(laser, input_rate, start)) is not None:
-        lines = np.abs(np.fft.rfft(values)) / n
+    n, sagnac = start.shape[1], np.array([2 * np.pi * laser.scale_factor * input_rate])
+    while True:
+        values, _, found = periodic_states(laser.numbers[np.newaxis], sagnac, start[np.newaxis])
+        if not found[0]:
+            return None
+        lines = np.abs(np.fft.rfft(values[0])) / n
         if n >= POINTS or np.max(lines[:, -n // 8 :]) < NEGLIGIBLE_LINE:
-            return values
+            return np.asarray(values[0])
         n = 2 * n - 1
-        start = np.asarray(np.fft.irfft(np.fft.rfft(values), n) * n / values.shape[1])
-    return None
+        start = np.asarray(np.fft.irfft(np.fft.rfft(values[0]), n) * n / values.shape[-1])
 
 
-def _newton(laser: TwoModeLaser, input_rate: float, values: Floats) -> Floats | None:
-    """Solution of the equations at all points at once; None where the phase stands still or nothing converges."""
-    n = values.shape[1]
-    psi = _phases(n, input_rate)
-    steps = np.subtract.outer(np.arange(n), np.arange(n))
+def periodic_states(
+    lasers: Floats, sagnac: Floats, start: Floats, angular: Floats | None = None
+) -> tuple[Floats, Floats, Bools]:
+    """Periodic solutions of equations (1) of B lasers at once, by Newton's method from a start for each.
+
+    Parameters
+    ----------
+    lasers : (B, 5)
+        a1, a2, eps/2, xi and g of each (rad/s, rad).
+    sagnac : (B,)
+        2 pi K W, rad/s, signed.
+    start : (B, 2, n)
+        ln I1 and ln I2 at n even steps of the phase over one turn, in the order of time; n odd.
+    angular : (B,), optional
+        Beats as they were seen, rad/s: then `sagnac` is where the search for it begins, and only its sense holds.
+
+    Returns
+    -------
+    values (B, 2, n), sagnac (B,), and whether each was found: where the phase stands still none is.
+    """
+    count, _, n = start.shape
+    sense, values, at = np.sign(sagnac), start, np.arange(n)
+    psi = sense[:, np.newaxis] * _phases(n, 1.0)
+    steps = np.subtract.outer(at, at)
     with np.errstate(divide="ignore"):
         matrix = 0.5 * np.where(steps % 2 == 0, 1.0, -1.0) / np.sin(np.pi * steps / n)
     np.fill_diagonal(matrix, 0.0)
-    derive = np.asarray(matrix) * np.sign(input_rate)
-    sagnac = 2 * np.pi * laser.scale_factor * abs(input_rate)
+    derive = sense[:, np.newaxis, np.newaxis] * matrix
     for _ in range(ROUNDS):
-        speed, growth, speed_by, growth_by = _slopes(laser, input_rate, psi, values)
-        if np.min(speed * np.sign(input_rate)) <= STANDSTILL * sagnac:
-            return None
-        slopes = values @ derive.T
-        jacobian = np.zeros((2, n, 2, n))
+        speed, growth, speed_by, growth_by = _slopes(lasers, sagnac, psi, values)
+        found = np.min(speed * sense[:, np.newaxis], axis=1) > STANDSTILL * np.abs(sagnac)
+        slopes = np.einsum("bkj,bij->bik", derive, values)
+        jacobian = np.zeros((count, 2 * n + (angular is not None), 2 * n + (angular is not None)))
+        missing = np.empty(jacobian.shape[:2])
+        missing[:, : 2 * n] = (growth - speed[:, np.newaxis] * slopes).reshape(count, -1)
         for beam in range(2):
-            jacobian[beam, :, beam] = speed[:, np.newaxis] * derive
+            jacobian[:, beam * n : (beam + 1) * n, beam * n : (beam + 1) * n] += speed[:, :, np.newaxis] * derive
             for other in range(2):
-                part = slopes[beam] * speed_by[other] - growth_by[beam, other]
-                jacobian[beam, np.arange(n), other, np.arange(n)] += part
-        missing = (growth - speed * slopes).ravel()
-        step = np.linalg.solve(jacobian.reshape(2 * n, 2 * n), missing).reshape(2, n)
-        size = float(np.max(np.abs(step)))
-        values = values + step * min(1.0, LONGEST_STEP / max(size, 1e-300))
-        if size < CONVERGED:
-            return values
-    return None
+                part = slopes[:, beam] * speed_by[:, other] - growth_by[:, beam, other]
+                jacobian[:, beam * n + at, other * n + at] += part
+        if angular is not None:
+            # one more unknown, and the time that the phase takes for a turn
+            share = (angular * sense)[:, np.newaxis] / speed / n
+            jacobian[:, :-1, -1] = slopes.reshape(count, -1) * angular[:, np.newaxis]
+            jacobian[:, -1, :-1] = -np.tile(share / speed, 2) * speed_by.reshape(count, -1)
+            jacobian[:, -1, -1] = -angular * np.sum(share / speed, axis=1)
+            missing[:, -1] = 1 - share.sum(axis=1)
+        step = np.linalg.solve(jacobian, missing[..., np.newaxis])[..., 0]
+        size = np.max(np.abs(step), axis=1)
+        step *= np.minimum(1.0, LONGEST_STEP / np.maximum(size, 1e-300))[:, np.newaxis]
+        values = values + step[:, : 2 * n].reshape(values.shape)
+        if angular is not None:
+            sagnac = sagnac + angular * step[:, -1]
+        if not np.any(found & (size >= CONVERGED)):
+            break
+    return values, sagnac, found & (size < CONVERGED)
 
 
 def _slopes(
-    laser: TwoModeLaser, input_rate: float, psi: Floats, values: Floats
+    lasers: Floats, sagnac: Floats, psi: Floats, values: Floats
 ) -> tuple[Floats, Floats, Floats, Floats]:
-    """d psi/dt (n,) and d ln I/dt (2, n); of both, the derivatives (2, n) and (2, 2, n) by the two ln I."""
-    a1, a2 = laser.backscatter
-    half, xi = laser.phase_sum / 2, laser.cross_saturation
-    gain = laser.gain_rate / (1 + xi)
-    first, second = np.exp(values)
-    ratio = np.exp((values[0] - values[1]) / 2)
+    """d psi/dt (B, n) and d ln I/dt (B, 2, n); of both, the derivatives (B, 2, n), (B, 2, 2, n) by the two ln I."""
+    a1, a2, half, xi, gain_rate = lasers.T[..., np.newaxis]
+    gain = gain_rate / (1 + xi)
+    first, second = np.exp(values[:, 0]), np.exp(values[:, 1])
+    ratio = np.exp((values[:, 0] - values[:, 1]) / 2)
     pull = a1 * ratio * np.sin(psi - half), a2 / ratio * np.sin(psi + half)
     feed = 2 * a2 / ratio * np.cos(psi + half), 2 * a1 * ratio * np.cos(psi - half)
-    speed = 2 * np.pi * laser.scale_factor * input_rate - pull[0] - pull[1]
-    growth = [gain * (1 + xi - first - xi * second) + feed[0], gain * (1 + xi - second - xi * first) + feed[1]]
+    speed = sagnac[:, np.newaxis] - pull[0] - pull[1]
+    growth = gain * (1 + xi - first - xi * second) + feed[0], gain * (1 + xi - second - xi * first) + feed[1]
     turned = (pull[1] - pull[0]) / 2
-    by_beams = [
-        [-gain * first - feed[0] / 2, -gain * xi * second + feed[0] / 2],
-        [-gain * xi * first + feed[1] / 2, -gain * second - feed[1] / 2],
-    ]
-    return np.asarray(speed), np.array(growth), np.array([turned, -turned]), np.array(by_beams)
+    by_first = np.stack([-gain * first - feed[0] / 2, -gain * xi * second + feed[0] / 2], axis=1)
+    by_second = np.stack([-gain * xi * first + feed[1] / 2, -gain * second - feed[1] / 2], axis=1)
+    speed_by, growth_by = np.stack([turned, -turned], axis=1), np.stack([by_first, by_second], axis=1)
+    return np.asarray(speed), np.stack(growth, axis=1), speed_by, growth_by
+
+
+def beat_phase(psi: Floats, slowness: Floats) -> tuple[Floats, Floats]:
+    """Phase of the fundamental (..., n) at even steps of one turn of psi, 0 at psi = 0, and dt/dpsi over its mean."""
+    n = psi.shape[-1]
+    weight = slowness / np.mean(slowness, axis=-1, keepdims=True)
+    ripple = np.fft.rfft(weight)
+    ripple[..., 1:] /= 1j * np.arange(1, ripple.shape[-1])
+    ripple[..., 0] = 0
+    # the integral of its own speed
+    wave = np.fft.irfft(ripple, n)
+    return np.asarray(np.abs(psi) + wave - wave[..., :1]), weight
 
 
 def _phases(n: int, input_rate: float) -> Floats:
@@ -227,34 +270,39 @@ def _phases(n: int, input_rate: float) -> Floats:
 
 @dataclass(frozen=True)
 class Winking:
-    """Gain saturation of a laser with equal backscatter of both beams; its beat on the grid of rates."""
+    """Gain saturation of a laser; its beat and its beams on the grid of rates."""
 
     scale_factor: float  # pulses per degree
     lock_in_rate: float  # deg/s, at low rates
     gain_corner_hz: float  # relaxation rate of the common intensity over 2 pi
     phase_sum: float = 0.0  # sum of the phases of the backscatter, rad: 0 is the dissipative kind, which locks
     cross_saturation: float = 0.5  # over self saturation
+    backscatter_ratio: float = 1.0  # a2 over a1
 
     def frequency_factor(self, rates: Floats) -> Floats:
         """Beat frequency at rates in deg/s over that of the lock-in equation; all beyond the lock-in rate."""
+        factors = np.ones(rates.shape)
+        for sense in (1, -1):
+            inside = np.flatnonzero(np.sign(rates) == sense)
 
-        def factor(point: int, _: Indices) -> float:
-            return self.frequency(point) / (self.scale_factor * beat_rate_at(point))
+            def factor(point: int, _: Indices, sense: int = sense) -> float:
+                return self.frequency(point, sense) / (self.scale_factor * beat_rate_at(point))
 
-        return interpolate(rates, self.lock_in_rate, factor)
+            factors[inside] = interpolate(rates[inside], self.lock_in_rate, factor)
+        return factors
 
-    def frequency(self, point: int) -> float:
+    def frequency(self, point: int, sense: int) -> float:
         """Beat frequency in Hz at a point of the grid."""
-        return _frequency(_path(_laser(self), rate_at(point, self.lock_in_rate))[2])
+        return _frequency(_path(_laser(self), sense * rate_at(point, self.lock_in_rate))[2])
 
-    def fringe(self, point: int) -> Complexes:
-        """Light of the fringes sqrt(I1 I2) exp(i psi) over one period, evenly in time, at a point of the grid."""
-        return _over_a_period(_beat(self, point).beat)
+    def fringe(self, point: int, sense: int) -> Complexes:
+        """Light of the fringes, sqrt(I1 I2) exp(i (phi + beta)), over one period, evenly in time."""
+        turn = np.exp(1j * _laser(self).backscatter_phase)
+        return np.asarray(_over_a_period(_beat(self, point, sense).beat) * turn)
 
-    def pedestal(self, point: int) -> Floats:
-        """Mean light (I1 + I2)/2 of the single beams over one period, less its mean."""
-        light = _over_a_period(_beat(self, point).beams.sum(axis=0) / 2).real
-        return np.asarray(light - light.mean())
+    def light(self, point: int, sense: int) -> Floats:
+        """Light of the single beams I1 and I2 over the same period, (2, n)."""
+        return np.stack([_over_a_period(beam).real for beam in _beat(self, point, sense).beams])
 
 
 def _laser(winking: Winking) -> TwoModeLaser:
@@ -264,12 +312,13 @@ def _laser(winking: Winking) -> TwoModeLaser:
         gain_corner_hz=winking.gain_corner_hz,
         phase_sum=winking.phase_sum,
         cross_saturation=winking.cross_saturation,
+        backscatter_ratio=winking.backscatter_ratio,
     )
 
 
 @lru_cache(maxsize=1024)
-def _beat(winking: Winking, point: int) -> SteadyBeat:
-    return steady_beat(_laser(winking), rate_at(point, winking.lock_in_rate))
+def _beat(winking: Winking, point: int, sense: int) -> SteadyBeat:
+    return steady_beat(_laser(winking), sense * rate_at(point, winking.lock_in_rate))
 
 
 def _over_a_period(harmonics: Complexes) -> Complexes:

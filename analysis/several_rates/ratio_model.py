@@ -209,16 +209,21 @@ def beyond_first_order(parameters: Floats, data: RatioData) -> tuple[Complexes, 
     second, third = parameters[..., 2, np.newaxis] * amplitude, parameters[..., 5, np.newaxis] * amplitude**2
     lines = _distorted(fast, gain, own, second, third)
     lines = lines / (1 + 1j * x[..., np.newaxis] * np.arange(1, lines.shape[-1] + 1))
-    w = np.conj(own)
-    for _ in range(_ROUNDS):
-        value, slope = _polynomial(lines, w)
-        w = w + (1 - np.abs(own) ** 2) * (np.conj(slope * (1 - np.abs(w) ** 2) / value) - w)
-    value, _ = _polynomial(lines, w)
+    w, value = nearest_series(lines, np.conj(own))
     turned = np.abs(value) / value
     left = lines[..., 2] - (1 - np.abs(w) ** 2) * value * np.conj(w) ** 2
     ratio, rest = predicted(parameters, data)
     ratio, rest = np.conj(w) * turned - ratio, (left * turned**3).real / np.abs(value) - rest
     return np.where(possible, ratio, 0.0), np.where(possible, rest, 0.0)
+
+
+def nearest_series(lines: Complexes, start: Complexes) -> tuple[Complexes, Complexes]:
+    """Ratio w of the geometric series nearest to lines (..., L), from a start, and the sum of d_n w^(n-1)."""
+    w, rest = start, 1 - np.abs(start) ** 2
+    for _ in range(_ROUNDS):
+        value, slope = _polynomial(lines, w)
+        w = w + rest * (np.conj(slope * (1 - np.abs(w) ** 2) / value) - w)
+    return w, _polynomial(lines, w)[0]
 
 
 _SMALLEST, _LARGEST = 1e-8, 0.95  # ratios between which a cubic law is worked out

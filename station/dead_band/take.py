@@ -22,7 +22,7 @@ from station.measurements import limits_of
 from station.results.numbers import BEAT_FREQUENCY, BIAS_RATE, DEAD_BAND_WIDTH, LOCK_IN_RATE
 from station.ring_laser.bench import Beats, beats_at, open_for
 from station.ring_laser.records import Bench, acquisition_records, set_up, take_record
-from station.ring_laser.settings import RingLaserSettings, ScopeSettings, SimulationSettings
+from station.ring_laser.settings import BeamsSettings, RingLaserSettings, ScopeSettings, SimulationSettings
 from station.runs.acquisition import Acquisition
 from station.runs.store import NewRecord, RunWriter
 from station.scope.autoset import KnobPositions, ScreenShape, find_beat, oscilloscope_steps
@@ -81,6 +81,11 @@ class DeadBandSettings(SettingsSection):
     def turning_dps(self) -> float:
         """A simulated table rests at the beginning."""
         return 0.0
+
+    @property
+    def beams(self) -> BeamsSettings:
+        """A sweep looks at the beat alone."""
+        return BeamsSettings()
 
 
 def _adapt(values: dict[str, Any]) -> None:

@@ -31,6 +31,7 @@ from analysis.lock_in_run import (
 from instrument import Waveform
 from station.errors import NoUsableSignal, RunError, UsageError
 from station.files import given_back
+from station.lock_in.beams import beams_of_run
 from station.lock_in.columns import Collected, Pairs, read_waveforms, whole_pairs, with_intact_seconds
 from station.lock_in.estimate import FAST, Gathered, Piece, described_records, estimate_pieces, pieces_of
 from station.lock_in.settings import Settings, run_knowledge
@@ -71,7 +72,7 @@ def evaluate_records(
     slow = gathered_arrays(gathered, waveforms.many)
     if paired:
         slow = replace(slow, batches=Pairs(source, gathered), n_channels=2)
-    arrays = RunArrays(slow, _arrays(gathered.fast, run))
+    arrays = RunArrays(slow, _arrays(gathered.fast, run), beams_of_run(source, gathered, settings))
     with errors_in_words(), given_back():
         found = evaluate(arrays, run_knowledge(settings), Method(**chosen), gathered.each)
     rows: slice | NDArray[np.intp] = slice(None)

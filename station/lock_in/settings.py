@@ -17,10 +17,11 @@ from pydantic import Discriminator, Field, Tag
 from analysis.budget import FRONT_END_LIMIT, LATITUDE_LIMIT_DEG, PROBE_LIMIT, BenchKnowledge, ResponseCorner
 from analysis.channel import ChannelResponse
 from analysis.lock_in_run import Method, RunKnowledge
+from analysis.single_beams import BeamsKnowledge
 from station.controllers import ControllersSettings, with_controllers
 from station.errors import SettingsError, UsageError
 from station.measurements import limits_of
-from station.ring_laser.settings import RingLaserSettings, ScopeSettings, SimulationSettings
+from station.ring_laser.settings import BeamsSettings, RingLaserSettings, ScopeSettings, SimulationSettings
 from station.settings import (
     Finite,
     Limits,
@@ -120,6 +121,7 @@ class Settings(SettingsSection):
     measurement: MeasurementSettings
     output: OutputSettings
     budget: BudgetSettings | None = None  # runs of earlier versions were saved without it
+    beams: BeamsSettings = BeamsSettings()
     controllers: ControllersSettings | None = None
     simulation: SimulationSettings | None = None
     limits: Limits = Limits()
@@ -217,6 +219,13 @@ def _check(settings: Settings, path: Path) -> Settings:
         )
     if settings.scope.quadrature_channel == settings.scope.channel:
         raise SettingsError(f"{path}: scope.quadrature_channel: is the same as scope.channel")
+    taken = [settings.scope.channel, settings.scope.quadrature_channel, *settings.beams.channels]
+    if len({name for name in taken if name}) < len([name for name in taken if name]):
+        raise SettingsError(f"{path}: beams.channels: a channel stands there twice, or is that of the beat")
+    if len(settings.beams.level_v) not in (0, len(settings.beams.channels)):
+        raise SettingsError(f"{path}: beams.level_v: needs one level for each of beams.channels, or none")
+    if settings.beams.channels and settings.scope.quadrature_channel:
+        raise SettingsError(f"{path}: beams.channels: either single beams or a cosine channel, not both")
     return _with_response(path, with_controllers(settings, settings.table.kind, path))
 
 
@@ -305,6 +314,25 @@ def run_knowledge(settings: Settings) -> RunKnowledge:
         table_rate_u_ppm=stated.table_rate_u_ppm if stated is not None else 0.0,
         known_tilt_deg=math.nan if settings.table.known_tilt_deg is None else settings.table.known_tilt_deg,
         known_tilt_u_deg=settings.table.known_tilt_u_deg,
+        beams=_beams_knowledge(settings),
+    )
+
+
+def beams_corner_hz(settings: Settings) -> float:
+    """Corner of the AC coupling of the beams' channels, Hz; 0: there is none."""
+    return _AC_CORNER_HZ / settings.scope.probe if settings.beams.coupling == "AC" else 0.0
+
+
+def _beams_knowledge(settings: Settings) -> BeamsKnowledge:
+    """Collect what the settings say of the beams' channels, and of the rates beside them."""
+    stated = settings.beams
+    table_u = 1e-6 * settings.budget.table_rate_u_ppm if settings.budget is not None else 0.0
+    return BeamsKnowledge(
+        level_u=0.01 * stated.level_u_percent or math.nan,
+        crosstalk_limit=_amplitude(stated.crosstalk_limit_db),
+        ac_corner_hz=beams_corner_hz(settings),
+        bandwidth_hz=stated.bandwidth_hz or math.nan,
+        rate_u=table_u or math.nan,
     )
 
 

@@ -9,6 +9,8 @@ from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from typing import Any
 
+import numpy as np
+
 from analysis.lock_in_run import PreliminaryLockIn
 from analysis.lockin_rate import MAINS_HZ
 from analysis.plan import off_mains
@@ -31,6 +33,7 @@ from station.ring_laser.bench import Beats, beats_at, beats_of_other_sense, open
 from station.ring_laser.records import Bench, acquisition_records, set_up, take_record
 from station.runs.acquisition import Acquisition
 from station.runs.progress import Progress
+from station.results.result import with_prefix
 from station.runs.store import RunWriter, SavedRecord
 from station.scope.autoset import KnobPositions, ScreenShape, find_beat, fit_channel
 
@@ -55,22 +58,24 @@ def take(settings: Settings, session: Acquisition) -> None:
 
 def take_on(bench: Bench, settings: Settings, session: Acquisition) -> None:
     """Do the experiment on a bench that is open already."""
-    set_up(bench, settings.scope, _channels(settings))
+    set_up(bench, settings.scope, _channels(settings), settings.beams)
     writer = session.begin({"identity": asdict(bench.scope.identity)})
     model = bench.scope.identity.model
     session.progress.note(f"{model} ({settings.scope.resource or 'simulated'}), run {writer.path}")
     taking = _Taking(settings, bench, session, writer, session.progress)
     if session.resumed is not None:
         taking.rates = list(session.facts.get("rates", []))
+        taking.levels_known = "beam_levels_v" in session.facts
         there = len(session.so_far().taken_for("measure"))
         session.progress.note(f"{there} records are saved already")
     taking.experiment()
 
 
 def _channels(settings: Settings) -> tuple[str, ...]:
-    """The channels of one acquisition: the sine, and the cosine if there is a second photodiode."""
+    """The channels of one acquisition: the sine, the cosine if there is a second photodiode, and the beams."""
     scope = settings.scope
-    return (scope.channel, scope.quadrature_channel) if scope.quadrature_channel else (scope.channel,)
+    cosine = (scope.quadrature_channel,) if scope.quadrature_channel else ()
+    return (scope.channel, *cosine, *settings.beams.channels)
 
 
 @dataclass
@@ -85,6 +90,7 @@ class _Taking:
     knobs: KnobPositions | None = None
     rates: list[dict[str, Any]] = field(default_factory=list)
     tilt_deg: float = 0.0
+    levels_known: bool = False
 
     def experiment(self) -> None:
         """Go through the plan; it may change with what the first rates say."""
@@ -255,6 +261,8 @@ class _Taking:
         table_rate = None if table_rate is None else self._confirmed(table_rate)
         if table_rate is not None and not there and settings.rates_are_chosen:
             table_rate = self._off_mains(step, table_rate, fits, self.knobs)
+        if settings.beams.channels and not settings.beams.level_v and not self.levels_known:
+            self._find_levels(self.knobs)
         for channel in channels[1:]:
             fit_channel(self.bench.scope, channel, settings.scope, self._shape, self.knobs)
         now = {"scope_setting": asdict(self.knobs), "table_rate_dps": table_rate}
@@ -263,6 +271,18 @@ class _Taking:
         self.writer.save_facts({"rates": self.rates, **now})
         name = f"rate {step.sense * step.over_lock_in:+g}"
         self._take_records("measure", name, channels, len(there), count, table_rate, asked)
+
+    def _find_levels(self, knobs: KnobPositions) -> None:
+        """Measure the DC level of each beam, behind a coupling that lets it through."""
+        beams, levels = self.settings.beams, []
+        for channel in beams.channels:
+            self.bench.scope.set_channel(channel, coupling="DC")
+            fit_channel(self.bench.scope, channel, self.settings.scope, self._shape, knobs)
+            levels.append(float(np.nanmean(self.bench.scope.acquire(channel).volts)))
+            self.bench.scope.set_channel(channel, coupling=beams.coupling)
+        self.progress.note(f"single beams: {', '.join(with_prefix(level, 'V') for level in levels)}")
+        self.writer.save_facts({"beam_levels_v": levels})
+        self.levels_known = True
 
     @property
     def _shape(self) -> ScreenShape:
@@ -334,7 +354,9 @@ class _Taking:
             waveforms, conditions = take_record(self.bench, channels)
             conditions |= {"table_rate_dps": table_rate, **(known or {})}
             self.writer.save_records(
-                acquisition_records(purpose, f"{name}, {number}", waveforms, channels, conditions)
+                acquisition_records(
+                    purpose, f"{name}, {number}", waveforms, channels, conditions, self.settings.beams.channels
+                )
             )
             self.progress.advance()
 

@@ -95,6 +95,20 @@ def build_instruments(settings: BenchSettings, clock: Clock, *, times_resumed: i
             amplitude=detector.amplitude * (1 + added.quadrature_gain_error),
         )
         signals[settings.scope.quadrature_channel] = _signal(gyro, cosine, table, simulation, 1)
+    light = simulation.beams
+    for beam, channel in enumerate(settings.beams.channels, 1):
+        crosstalk = _share(light.crosstalk_db) * simulation.amplitude_v
+        one = Detector(
+            detector.readout_phase,
+            amplitude=light.level_v[beam - 1],
+            offset=light.level_v[beam - 1],
+            pump_ripple=detector.pump_ripple,
+            pump_hz=detector.pump_hz,
+            beam=beam,
+            crosstalk_v=crosstalk,
+        )
+        quiet = simulation.model_copy(update={"detector_noise_v": light.noise_v})
+        signals[channel] = _signal(gyro, one, table, quiet, 1 + beam)
     try:
         scope = SimulatedTDS2014(
             {int(channel[2:]): signal for channel, signal in signals.items()},
@@ -125,6 +139,7 @@ def _gyro(settings: BenchSettings, simulation: SimulationSettings, start_phase: 
             gain_corner_hz=added.gain_corner_hz,
             phase_sum=math.radians(added.backscatter_phase_sum_deg),
             cross_saturation=added.cross_saturation,
+            backscatter_ratio=added.backscatter_ratio,
         )
     return Gyro(
         scale_factor=scale_factor,

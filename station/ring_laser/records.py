@@ -10,17 +10,19 @@ from pathlib import Path
 
 from instrument import TDS2014, InstrumentError, ManualRateTable, Preamble, RateTable, Waveform
 from station.errors import RunError, UsageError
-from station.ring_laser.settings import ScopeSettings
+from station.ring_laser.settings import BeamsSettings, ScopeSettings
 from station.runs.store import NewRecord, SavedRecord
 from station.sources.batches import check_over_time
 
 
-def set_up(bench: Bench, wanted: ScopeSettings, channels: Sequence[str]) -> None:
+def set_up(
+    bench: Bench, wanted: ScopeSettings, channels: Sequence[str], beams: BeamsSettings | None = None
+) -> None:
     """Set what the trial records do not choose; a channel that is not there shows here."""
     for channel in channels:
         bench.scope.set_channel(
             channel,
-            coupling=wanted.coupling,
+            coupling=wanted.coupling if beams is None or channel not in beams.channels else beams.coupling,
             probe=wanted.probe,
             bandwidth_limit=wanted.bandwidth_limit,
             invert=False,
@@ -47,13 +49,20 @@ def acquisition_records(
     waveforms: Sequence[Waveform],
     channels: Sequence[str],
     conditions: Mapping[str, object],
+    beams: Sequence[str] = (),
 ) -> list[NewRecord]:
-    """Return the records of one acquisition to be saved; a second channel is the quadrature of the first."""
-    kinds = ((purpose, key), ("quadrature", f"{key}, {channels[-1]}"))
-    return [
-        NewRecord(name, kind, wave.preamble.to_text(), wave.codes.tobytes(), {"channel": channel, **conditions})
-        for (kind, name), wave, channel in zip(kinds, waveforms, channels, strict=False)
-    ]
+    """Return the records of one acquisition to be saved; a second channel is the quadrature of the first, or a beam."""
+    made: list[NewRecord] = []
+    for wave, channel in zip(waveforms, channels, strict=False):
+        kind, name = ("quadrature", f"{key}, {channel}") if made else (purpose, key)
+        if channel in beams:
+            kind = BEAMS[beams.index(channel)]
+        about = {"channel": channel, **conditions}
+        made.append(NewRecord(name, kind, wave.preamble.to_text(), wave.codes.tobytes(), about))
+    return made
+
+
+BEAMS = ("beam 1", "beam 2")  # purposes of the records of the single beams
 
 
 def saved_waveform(record: SavedRecord, run: Path) -> Waveform:

@@ -34,6 +34,25 @@ class ScopeSettings(SettingsSection):
     reconnect_s: NotNegative = 90.0
 
 
+class BeamsSettings(SettingsSection):
+    """Photodiodes on the single beams, and what is known of their channels; 0 and empty: not known."""
+
+    channels: Annotated[tuple[Annotated[str, Field(pattern=r"^CH[1-4]$")], ...], Field(max_length=2)] = ()
+    coupling: Literal["DC", "AC"] = "AC"
+    level_v: Annotated[tuple[Positive, ...], Field(max_length=2)] = ()
+    level_u_percent: NotNegative = 0.0
+    crosstalk_limit_db: Annotated[float, Field(ge=-200, le=0)] = 0.0
+    bandwidth_hz: NotNegative = 0.0
+
+
+class BeamLightSettings(SettingsSection):
+    """The single beams of a simulated bench."""
+
+    level_v: Annotated[tuple[Positive, ...], Field(min_length=2, max_length=2)] = (1.0, 0.8)
+    noise_v: NotNegative = 0.0001
+    crosstalk_db: Dbc | None = None
+
+
 class ContaminantSettings(SettingsSection):
     """What spoils the measurement on a simulated bench; everything is absent unless it is named."""
 
@@ -44,6 +63,7 @@ class ContaminantSettings(SettingsSection):
     gain_corner_hz: NotNegative = 0.0
     cross_saturation: Annotated[float, Field(ge=0, lt=1)] = 0.5
     backscatter_phase_sum_deg: Annotated[float, Field(gt=-170, lt=170)] = 0.0
+    backscatter_ratio: Annotated[float, Field(gt=0, le=100)] = 1.0
     single_beams: Annotated[float, Field(ge=0, le=10)] = 0.0
     rate_ripple_dps: NotNegative = 0.0
     rate_ripple_hz: NotNegative = 1.0
@@ -71,6 +91,7 @@ class SimulationSettings(SettingsSection):
     scope_noise_levels: NotNegative
     table_acceleration_dps2: Positive
     contaminants: ContaminantSettings = ContaminantSettings()
+    beams: BeamLightSettings = BeamLightSettings()
 
 
 class TableMount(Protocol):
@@ -103,6 +124,10 @@ class BenchSettings(Protocol):
     @property
     def scope(self) -> ScopeSettings:
         """The oscilloscope."""
+
+    @property
+    def beams(self) -> BeamsSettings:
+        """Photodiodes on the single beams."""
 
     @property
     def simulation(self) -> SimulationSettings | None:

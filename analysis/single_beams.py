@@ -1,0 +1,840 @@
+"""Lock-in rate from beat and single beams together: what their modulation settles that the beat leaves open.
+
+Backscatter modulates the two beams at the beat frequency ("winking"). Far above lock-in, with C = a1 e^(-i eps/2) +
+a2 e^(i eps/2) and D = a2 e^(i eps/2) - a1 e^(-i eps/2), both turned by the readout phase, g and g_d the rates at which
+sum and difference of the beams relax, AC over DC of beam 1 and 2 against the phase of the beat is
+
+    m = i C/(g + i w) +- i D/(g_d + i w),     its conjugate but for w in the other sense               (1)
+
+while the beat's second harmonic over its fundamental is -C/(2 w) g/(g + i w), and WL = |C|/(2 pi K). So the beams show
+the phase of C, which is all that distortion of the receiver hides, D, which no harmonic shows, and g.
+
+Nothing is of first order here: every setting is the periodic solution of the equations of a two-mode laser
+(`analysis.ring_laser.two_mode_laser`) at the beat that was seen, and its signals go through what is known of the three
+receivers. One least-squares fit has the harmonics of the beat, the beams and the rates of the table as its data, and
+whatever may spoil them as its unknowns, each with a bound.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from enum import IntFlag
+from typing import Literal
+
+import numpy as np
+import scipy.special
+from numpy.typing import ArrayLike
+
+from analysis.arrays import Bools, Complexes, Floats, Indices, NoFit
+from analysis.budget.bench import SCALE_FACTOR_LIMIT, TABLE_RATE_LIMIT, lowest_bandwidth
+from analysis.frequency_method import fit_frequencies
+from analysis.harmonics import fit_free_harmonics
+from analysis.lockin_rate import size_interval
+from analysis.ring_laser.two_mode_laser import beat_phase, periodic_states
+from analysis.several_rates import RatesFit, ReceiverKnowledge
+from analysis.several_rates.points import Points, gather
+from analysis.several_rates.ratio_model import in_standard_uncertainties, nearest_series
+
+NORMAL_95 = 1.959964
+
+# --------------------
+# One record: how far each beam swings with the beat, and with which phase
+
+
+HARMONICS = 8  # that are fitted at once: those left out would leak into the fundamental
+
+
+class BeamsFlag(IntFlag):
+    """Bits of `BeamsFit.flags`; the lower-case name is the one used in JSON."""
+
+    CLIPPED = 1
+    """A beam reaches the end of the converter's range in most records: it is not used."""
+    DARK = 2
+    """A beam's channel shows no light, or no swing at the beat."""
+    SHOWS_THE_BEAT = 4
+    """A beam's channel swings like the beat itself: another photodiode is connected to it."""
+    NO_LEVEL = 8
+    """Nobody stated the DC level of a beam: only the phase of its swing counts."""
+    RECORDS_LEFT_OUT = 16
+    """In some records the rate moves too much for the swing of the beams."""
+    MISFIT = 32
+    """Beat and beams do not fit one laser within their noise; the uncertainty is enlarged."""
+    ROUTES_DIFFER = 64
+    """Harmonics, beams and frequencies give different lock-in rates."""
+    SEVERAL_SOLUTIONS = 128
+    """Another lock-in rate explains the records as well; the interval holds all."""
+    NOT_SIGNIFICANT = 256
+    """The lock-in rate does not stand out of its uncertainty."""
+
+
+@dataclass(frozen=True)
+class BeamModulation:
+    """Swing of the single beams at the beat frequency, of n records of two beams; nan where there is none.
+
+    modulation : (n, 2) complex, AC over DC, its phase against that of the beat's fundamental
+    modulation_u : (n, 2) standard uncertainty of its real and of its imaginary part
+    beat_over_level : (n, 2) amplitude of the beat in volts over the DC level of the beam
+    flags : bits of `BeamsFlag`, of both beams
+    """
+
+    modulation: Complexes
+    modulation_u: Floats
+    beat_over_level: Floats
+    flags: int
+
+    def __getitem__(self, rows: slice | Bools | Indices) -> BeamModulation:
+        """Some of the records."""
+        return BeamModulation(
+            self.modulation[rows], self.modulation_u[rows], self.beat_over_level[rows], self.flags
+        )
+
+
+def beam_modulation(
+    beat: ArrayLike,
+    beams: ArrayLike,
+    sample_interval: float,
+    *,
+    beat_frequency: ArrayLike,
+    level: ArrayLike,
+    clipped: ArrayLike | None = None,
+    ac_corner_hz: float = 0.0,
+) -> BeamModulation:
+    """Modulation of the single beams against the phase of the beat, by least squares at its frequency.
+
+    Parameters
+    ----------
+    beat : (n, n_samples)
+        Volts of the photodiode that sees the fringes.
+    beams : (n_beams, n, n_samples)
+        Volts of the photodiodes of one beam, or of both, sampled at the same instants.
+    sample_interval : float
+        Seconds.
+    beat_frequency : (n,)
+        Hz, as `estimate_lock_in` found it; nan for a record without a beat.
+    level : (n_beams,)
+        DC level of each beam, V; nan where nobody knows it. Then the size of a modulation has no meaning.
+    clipped : (n_beams, n, n_samples) of bool, optional
+    ac_corner_hz : float
+        Corner of an AC coupling in front of the beams' channels, whose effect is taken out.
+
+    Raises
+    ------
+    ValueError
+        Channels of different length, or more beams than two.
+    """
+    whole, single = np.asarray(beat, dtype=np.float64), np.asarray(beams, dtype=np.float64)
+    if single.ndim != 3 or not 1 <= len(single) <= 2 or single.shape[1:] != whole.shape:
+        raise ValueError(f"beams must have shape (1 or 2, {whole.shape[0]}, {whole.shape[1]}), not {single.shape}")
+    frequency = np.asarray(beat_frequency, dtype=np.float64)
+    swing = np.full((len(whole), 2), np.nan, dtype=np.complex128)
+    swing_u, over = np.full(swing.shape, np.nan), np.full(swing.shape, np.nan)
+    beating = np.flatnonzero(frequency > 0)
+    first, first_u, in_lines = _line(whole[beating], frequency[beating], sample_interval)
+    steady = in_lines > _FADED
+    rows, first, first_u = beating[steady], first[steady], first_u[steady]
+    flags = 0 if steady.all() else int(BeamsFlag.RECORDS_LEFT_OUT)
+    turn = (1 - 1j * ac_corner_hz / frequency[rows]) * np.abs(first) / first
+    for number, volts in enumerate(single):
+        cut = np.zeros(rows.size, bool) if clipped is None else np.any(np.asarray(clipped)[number][rows], axis=-1)
+        line, line_u, _ = _line(volts[rows], frequency[rows], sample_interval)
+        dc = float(np.broadcast_to(level, len(single))[number])
+        if (problem := _problem(line, line_u, dc, cut)) is not None:
+            flags |= int(problem)
+            continue
+        if math.isnan(dc):
+            flags, dc = flags | int(BeamsFlag.NO_LEVEL), float(np.median(np.abs(line))) / _TYPICAL
+        kept = rows[~cut]
+        swing[kept, number] = (line * turn / dc)[~cut]
+        # the phase of the beat is in it too
+        relative_u = np.hypot(line_u, np.abs(line) * first_u / np.abs(first))
+        swing_u[kept, number] = (relative_u * np.abs(turn) / dc)[~cut]
+        over[kept, number] = (np.abs(first) / dc)[~cut]
+    return BeamModulation(swing, swing_u, over, flags)
+
+
+_FADED = 0.7  # share of a signal's power that stands in its lines; less where the rate moves much
+_TYPICAL = 0.01
+_LARGEST = 0.5  # AC over DC of a channel that shows the fringes rather than a beam
+
+
+def _problem(line: Complexes, line_u: Floats, level: float, cut: Bools) -> BeamsFlag | None:
+    """Why a beam's channel cannot be used; ``None`` if it can."""
+    if 2 * cut.sum() > cut.size:
+        return BeamsFlag.CLIPPED
+    if level <= 0 or not np.any(np.abs(line) > 3 * line_u):
+        return BeamsFlag.DARK
+    return BeamsFlag.SHOWS_THE_BEAT if np.median(np.abs(line)) > _LARGEST * level else None
+
+
+def _line(volts: Floats, frequency: Floats, sample_interval: float) -> tuple[Complexes, Floats, Floats]:
+    """Complex amplitude of the fundamental (n,), its u for each part, and the share of the power in all lines."""
+    if not volts.size:
+        return np.zeros(0, dtype=np.complex128), np.zeros(0), np.zeros(0)
+    there = np.isfinite(volts)
+    weights, count = None if there.all() else there.astype(np.float64), there.sum(axis=-1)
+    centred = np.where(there, volts - np.nanmean(volts, axis=-1, keepdims=True), 0.0)
+    harmonics = int(np.clip(0.45 / (np.max(frequency) * sample_interval), 1, HARMONICS))
+    omega = 2 * np.pi * sample_interval * frequency
+    _, _, lines, step = fit_free_harmonics(centred, weights, omega, harmonics, iterations=1)
+    noise = np.sqrt(step.residual_power / np.maximum(count - 2 * harmonics - 2, 1))
+    power = np.maximum(np.sum(centred**2, axis=-1), 1e-300)
+    return lines[:, 0], noise * np.sqrt(2 / count), np.sum(np.abs(lines) ** 2, axis=-1) / (2 * power / count)
+
+
+# --------------------
+# What is fitted, and what is known of it beforehand
+
+
+N_PARAMETERS = 25
+
+# Both backscatters, turned by the readout phase: complex logarithms of a1 e^(-i eps/2) and of a2 e^(i eps/2), rad/s. Of
+# logarithms the valleys of chi-square are straight
+FIRST, SECOND = slice(0, 2), slice(2, 4)
+# logarithm of g (rad/s), cross over self saturation
+GAIN, SATURATION = 4, 5
+# of the beat's receiver: second and third order, time of its pole (s)
+DISTORTION, LAG, THIRD_ORDER = 6, 7, 8
+# what changes: phase between the senses, over the run, its bend (rad), backscatter (relative)
+BETWEEN, TURN, BEND, DRIFT = 9, 10, 11, 12
+# of the beams' receivers, each: logarithm of the level's error, crosstalk of the beat and of the other beam, delay (s)
+LEVEL, CROSSTALK, OTHER_BEAM, DELAY = slice(13, 15), slice(15, 17), slice(17, 19), slice(19, 21)
+# error of the AC coupling's corner (Hz); light of the beams in the beat's receiver, over that of the fringes
+CORNER, PEDESTAL = 21, 22
+# of the rates of the table: their common relative error, and a constant (deg/s)
+SCALE, BIAS = 23, 24
+
+
+@dataclass(frozen=True)
+class BeamsKnowledge:
+    """What is known of the beams' channels and of the table's rates; nan: nothing, then the usual bounds hold."""
+
+    level_u: float = math.nan  # relative, of the DC levels
+    crosstalk_limit: float = math.nan  # volts in a beam's channel for a volt of the beat, or of the other beam
+    ac_corner_hz: float = 0.0  # of the AC coupling that was taken out; 0: there is none
+    bandwidth_hz: float = math.nan  # lowest corner of the beams' receivers, one pole each
+    scale_u: float = math.nan  # relative, of scale factor and rates, common to all settings
+    rate_u: float = math.nan  # relative, of each rate by itself
+
+
+LEVEL_LIMIT = 0.03  # DC accuracy of an oscilloscope of eight bits, and what its ranges differ by
+CROSSTALK_LIMIT = 0.01  # -40 dB between two channels
+CORNER_LIMIT = 0.2  # relative, of a capacitor in an input
+_SATURATION, _SATURATION_U, _MOST_SATURATION = 0.5, 0.25, 0.95
+_GAIN, _GAIN_U = math.log(2 * math.pi * 1000.0), 3.0  # a gain corner of 10 Hz to 100 kHz
+_PEDESTAL, _PEDESTAL_U = 1.0, 0.6  # a photodiode behind a beam splitter, or two that take the difference
+_BIAS = 0.005 / math.sqrt(3.0)  # deg/s: the earth rate
+_RECTANGLE = math.sqrt(3.0)
+
+
+@dataclass(frozen=True)
+class _Data:
+    """Everything that one fit compares, of P points."""
+
+    points: Points
+    swing: Complexes  # (P, 2) modulation of the beams, and the reciprocal of its u, 0 where there is none
+    swing_weight: Floats
+    over: Floats  # (P, 2) amplitude of the beat over the level
+    rate_weight: Floats  # (P,) reciprocal of the u of each rate, deg/s; 0 where nobody knows it
+    mean: Floats  # (N_PARAMETERS,) known beforehand, and its standard deviation
+    sd: Floats
+    ac_corner_hz: float  # of the coupling that was taken out of the beams
+    harmonics: bool = True  # whether ratio and third harmonic count
+
+# --------------------
+# The model: a periodic solution for every setting, seen by three receivers
+
+
+_FEWEST, _STEEP, _STEEPER = 33, 0.25, 0.5  # points of a turn, and ratios above which it takes twice as many
+_FAILED = 1e6  # in standard uncertainties, where there is no solution
+
+
+@dataclass(frozen=True)
+class _Lasers:
+    """The laser of each of B sets at each of P points, as :func:`periodic_states` takes it."""
+
+    numbers: Floats  # (B, P, 5)
+    readout: Floats  # (B, P) phase of the readout, rad
+
+    @classmethod
+    def of(cls, parameters: Floats, data: _Data) -> _Lasers:
+        """From parameters (B, N_PARAMETERS)."""
+        some, sense = data.points.points, np.sign(data.points.points.rate)
+        column = parameters[:, np.newaxis]
+        turned = column[..., BETWEEN] * sense / 2 + column[..., TURN] * some.when
+        turned = turned + column[..., BEND] * (6 * some.when**2 - 0.5)
+        then = (1 + column[..., DRIFT] * some.when) * np.exp(1j * turned)
+        first, second = (_backscatter(column[..., part]) * then for part in (FIRST, SECOND))
+        half = np.angle(second * np.conj(first)) / 2
+        saturation = np.clip(column[..., SATURATION], 0.0, _MOST_SATURATION) + 0 * half
+        numbers = np.stack(
+            [np.abs(first), np.abs(second), half, saturation, np.exp(column[..., GAIN]) + 0 * half], axis=-1
+        )
+        return cls(numbers, -np.angle(first * np.exp(1j * half)))
+
+
+def _backscatter(part: Floats) -> Complexes:
+    """A complex number (...), rad/s, from its logarithm (..., 2)."""
+    return np.asarray(np.exp(part[..., 0] + 1j * part[..., 1]))
+
+
+class _Model:
+    """The model of some data; what it found last is where the next search for periodic solutions begins."""
+
+    def __init__(self, data: _Data) -> None:
+        self.data, some = data, data.points.points
+        steepest = float(np.max(np.abs(some.ratio)))
+        turns = 1 if steepest < _STEEP else 2 if steepest < _STEEPER else 4
+        self._sense = np.sign(some.rate)
+        self._values = np.zeros((some.rate.size, 2, (_FEWEST - 1) * turns + 1))
+        self._sagnac = self._sense * some.angular
+
+    def residual(self, parameters: Floats, *, keep: bool = False) -> Floats:
+        """Everything in its standard uncertainties for parameters (B, N_PARAMETERS): (B, values)."""
+        data, some = self.data, self.data.points.points
+        ratio, third, swing, sagnac, found = self.predicted(parameters, keep=keep)
+        of_ratio, of_third = in_standard_uncertainties(some.ratio - ratio, some.third - third, some)
+        of_swing = (data.swing - swing) * data.swing_weight
+        rate = sagnac / (2 * np.pi * data.points.records.records.scale_factor)
+        known = some.rate * (1 + parameters[:, SCALE, np.newaxis]) + parameters[:, BIAS, np.newaxis]
+        of_rate = (known - rate) * data.rate_weight
+        fixed = data.sd > 0
+        before = (data.mean - parameters)[:, fixed] / data.sd[fixed]
+        counts = float(data.harmonics)
+        parts = (counts * of_ratio, counts * of_third, of_swing.real, of_swing.imag, of_rate, before)
+        whole = np.concatenate([part.reshape(len(parameters), -1) for part in parts], axis=-1)
+        return np.where(found[:, np.newaxis] & np.isfinite(whole), whole, _FAILED)
+
+    def predicted(
+        self, parameters: Floats, *, keep: bool = False
+    ) -> tuple[Complexes, Floats, Complexes, Floats, Bools]:
+        """Ratio, third harmonic (B, P), modulation of the beams (B, P, 2), 2 pi K W (B, P); sets that have any."""
+        data, some = self.data, self.data.points.points
+        lasers, count, n = _Lasers.of(parameters, data), len(parameters), self._values.shape[-1]
+        numbers = lasers.numbers.reshape(-1, 5)
+        place = np.tile(np.arange(some.rate.size), count)
+        # most parameters leave the laser as it is
+        _, which, back = np.unique(
+            np.column_stack([numbers, place]), axis=0, return_index=True, return_inverse=True
+        )
+        start = numbers[which], self._sagnac[place[which]], self._values[place[which]], some.angular[place[which]]
+        values, sagnac, found = _by_degrees(*start)
+        if keep and found.all() and count == 1:
+            self._values[place[which]], self._sagnac[place[which]] = values, sagnac
+        a1, a2, half = numbers[which].T[:3, :, np.newaxis]
+        psi = self._sense[place[which]][:, np.newaxis] * 2 * np.pi * np.arange(n) / n
+        swap = np.exp((values[:, 0] - values[:, 1]) / 2)
+        speed = sagnac[:, np.newaxis] - a1 * swap * np.sin(psi - half) - a2 / swap * np.sin(psi + half)
+        turned, weight = beat_phase(psi, 1 / np.abs(speed))
+        powers = np.multiply.accumulate(np.tile(np.exp(-1j * turned), (n // 2, 1, 1)))
+        kernel = np.moveaxis(powers, 0, 1) * (2 * weight / n)[:, np.newaxis]
+        light = np.exp(values)
+        beams = np.einsum("bik,bk->bi", light, kernel[:, 0])
+        # the beat of every set, since its receiver differs
+        back = back.ravel()
+        readout, column = lasers.readout.reshape(-1, 1), parameters[:, np.newaxis]
+        signal = np.exp(values.mean(axis=1))[back] * np.sin(psi[back] + readout)
+        pedestal = np.repeat(parameters[:, PEDESTAL], some.rate.size)[:, np.newaxis]
+        signal = signal + pedestal * (light.mean(axis=1) - 1)[back]
+        shape = (count, some.rate.size)
+        x = some.angular * column[..., LAG]
+        amplitude = some.amplitude * np.hypot(1.0, x)
+        curved = (column[..., DISTORTION] * amplitude).reshape(-1, 1)
+        cubic = column[..., THIRD_ORDER] * amplitude**2
+        cubic = (cubic / (1 - 3 * cubic)).reshape(-1, 1)
+        signal = (signal + 4 * cubic * signal**3) / (1 + 3 * cubic) + 2 * curved * signal**2
+        lines = np.einsum("bk,bmk->bm", signal, kernel[back])
+        lines = lines / (1 + 1j * x.reshape(-1, 1) * np.arange(1, n // 2 + 1))
+        with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+            w, value = nearest_series(lines, lines[:, 1] / lines[:, 0])
+            turn = np.abs(value) / value
+            left = lines[:, 2] - (1 - np.abs(w) ** 2) * value * np.conj(w) ** 2
+            third = (left * turn**3).real / np.abs(value)
+        phase = np.abs(lines[:, 0]) / lines[:, 0]
+        swing = (beams[back] * phase[:, np.newaxis]).reshape(*shape, 2)
+        beside = column[..., CROSSTALK] * data.over + column[..., OTHER_BEAM] * swing[..., ::-1]
+        slow = 1 + 1j * some.angular[:, np.newaxis] * column[..., DELAY]
+        hertz, stated = some.angular[:, np.newaxis] / (2 * np.pi), data.ac_corner_hz
+        corner = (hertz - 1j * stated) / (hertz - 1j * (stated + column[..., CORNER, np.newaxis]))
+        swing = np.exp(column[..., LEVEL]) * (swing + beside) * corner / slow
+        good = np.asarray(found[back].reshape(shape).all(axis=1))
+        ratio = (np.conj(w) * turn).reshape(shape)
+        return ratio, third.reshape(shape), swing, sagnac[back].reshape(shape), good
+
+
+_DETOUR = (0.3, 0.6, 0.8, 0.9, 1.0)
+
+
+def _by_degrees(
+    lasers: Floats, sagnac: Floats, start: Floats, angular: Floats
+) -> tuple[Floats, Floats, Bools]:
+    """As :func:`periodic_states`; where it finds none, by way of weaker backscatter."""
+    values, rates, found = periodic_states(lasers, sagnac, start, angular)
+    lost = np.flatnonzero(~found)
+    if lost.size:
+        some, then = np.zeros_like(start[lost]), np.sign(sagnac[lost]) * angular[lost]
+        for share in _DETOUR:
+            weaker = lasers[lost] * np.array([share, share, 1.0, 1.0, 1.0])
+            some, then, found[lost] = periodic_states(weaker, then, some, angular[lost])
+            some, then = np.where(found[lost, np.newaxis, np.newaxis], some, 0.0), np.where(found[lost], then, np.sign(then) * angular[lost])
+        values[lost], rates[lost] = some, then
+    return values, rates, found
+
+
+# --------------------
+# The fit
+
+
+POSSIBLE = 9.0  # chi-square above the best up to which another solution is possible
+UNLIKELY = 0.001
+_TRIES, _EVALUATIONS = 10, 60  # steps of a first look, and of the search to the end
+
+
+@dataclass(frozen=True)
+class Route:
+    """One way to the lock-in rate, deg/s."""
+
+    name: Literal["harmonics", "beams", "frequencies"]
+    lock_in_rate: float
+    lock_in_rate_u: float
+    lock_in_rate_low_95: float
+    lock_in_rate_high_95: float
+
+
+@dataclass(frozen=True)
+class BeamsFit:
+    """Lock-in rate of many records with their single beams.
+
+    lock_in_rate, lock_in_rate_u, lock_in_rate_low_95, lock_in_rate_high_95 : deg/s, for the scale factor as given
+    backscatter, backscatter_u : (2,) rad/s, a1 and a2
+    phase_sum, phase_sum_u : rad, eps, between 0 and 2 pi
+    backscatter_phase, backscatter_phase_u : rad, beta less the readout phase
+    gain_rate, gain_rate_low_95, gain_rate_high_95 : rad/s, at which the sum of the beams relaxes
+    distortion, distortion_u : as in `RatesFit`
+    rate, beat_frequency, corrected_frequency, corrected_frequency_u : (p,) of every setting and visit: deg/s, Hz, and
+        the beat that the gyro would have without backscatter, signed as the rate
+    push : (p,) share by which the difference of the beams has made each beat faster than the lock-in equation says
+    routes, routes_chi_square, routes_p_value : the lock-in rate by each way, and whether they agree
+    chi_square, degrees_of_freedom, p_value : of all data and of what was known beforehand
+    flags : bits of `BeamsFlag`
+    """
+
+    lock_in_rate: float
+    lock_in_rate_u: float
+    lock_in_rate_low_95: float
+    lock_in_rate_high_95: float
+    backscatter: Floats
+    backscatter_u: Floats
+    phase_sum: float
+    phase_sum_u: float
+    backscatter_phase: float
+    backscatter_phase_u: float
+    gain_rate: float
+    gain_rate_low_95: float
+    gain_rate_high_95: float
+    distortion: float
+    distortion_u: float
+    rate: Floats
+    beat_frequency: Floats
+    corrected_frequency: Floats
+    corrected_frequency_u: Floats
+    push: Floats
+    routes: tuple[Route, ...]
+    routes_chi_square: float
+    routes_p_value: float
+    chi_square: float
+    degrees_of_freedom: int
+    p_value: float
+    flags: int
+
+    def push_at(self, rate: Floats, frequency: Floats) -> Floats:
+        """The same for records (n,): that of the settings of their sense, by their beat in Hz."""
+        push = np.zeros(rate.shape)
+        for sense in (1, -1):
+            mine, there = np.sign(rate) == sense, np.flatnonzero(np.sign(self.rate) == sense)
+            there = there[np.argsort(self.beat_frequency[there])]
+            if there.size:
+                push[mine] = np.interp(frequency[mine], self.beat_frequency[there], self.push[there])
+        return push
+
+
+def fit_beams(
+    fit: RatesFit,
+    modulation: BeamModulation,
+    knowledge: BeamsKnowledge | None = None,
+    receiver: ReceiverKnowledge | None = None,
+) -> BeamsFit:
+    """Lock-in rate from the beat's harmonics, the beams' modulation and the rates of all records together.
+
+    Parameters
+    ----------
+    fit : RatesFit
+        Of the same records by their beat alone, from `fit_rates` with ``reference="beat"``.
+    modulation : BeamModulation
+        Of every record of that fit, in its order.
+    knowledge : BeamsKnowledge, optional
+        What is known of the beams' channels and of the table; without it the usual bounds hold.
+    receiver : ReceiverKnowledge, optional
+        Of the beat's receiver, as for `fit_rates`.
+
+    Raises
+    ------
+    NoFit
+        No record with a beam that can be used, or no laser that fits the records.
+    """
+    data = _data(fit, modulation, knowledge or BeamsKnowledge(), receiver or ReceiverKnowledge())
+    found = _solutions(data)
+    best = found[0]
+    value_count = int(np.count_nonzero(data.swing_weight)) * 2 + int(np.count_nonzero(data.rate_weight))
+    ratios = data.points.points
+    value_count += 2 * ratios.rate.size + int(np.count_nonzero(ratios.third_weight))
+    degrees = value_count - int(np.count_nonzero(np.isinf(data.sd)))
+    p_value = float(scipy.special.chdtrc(degrees, best.chi_square)) if degrees > 0 else math.nan
+    widen = max(best.chi_square / max(degrees, 1), 1.0) if p_value < UNLIKELY else 1.0
+    scale = 2 * np.pi * data.points.records.records.scale_factor
+    answers = [one.size(widen) for one in found]
+    weights = np.exp([-0.5 * (one.chi_square - best.chi_square) / widen + one.log_volume for one in found])
+    weights /= weights.sum()
+    value = answers[0][0]
+    u = math.sqrt(sum(w * (a[1] ** 2 + (a[0] - value) ** 2) for w, a in zip(weights, answers, strict=True)))
+    low, high = min(a[2] for a in answers), max(a[3] for a in answers)
+    routes, push = _routes(fit, data, best), best.push()
+    mean_weights = np.array([1 / max(route.lock_in_rate_u, 1e-300) ** 2 for route in routes])
+    values = np.array([route.lock_in_rate for route in routes])
+    mean = float(np.average(values, weights=mean_weights))
+    routes_chi = float(np.sum((values - mean) ** 2 * mean_weights))
+    routes_p = float(scipy.special.chdtrc(len(routes) - 1, routes_chi)) if len(routes) > 1 else math.nan
+    conditions = {
+        BeamsFlag.MISFIT: p_value < UNLIKELY,
+        BeamsFlag.ROUTES_DIFFER: routes_p < UNLIKELY,
+        BeamsFlag.SEVERAL_SOLUTIONS: len(found) > 1,
+        BeamsFlag.NOT_SIGNIFICANT: not value > 3.3 * u,
+    }
+    flags = modulation.flags | int(sum(bit for bit, raised in conditions.items() if raised))
+    names = ("first", "second", "sum", "phase")
+    told = {name: best.of(name, widen) for name in names}
+    gain, gain_u = float(best.parameters[GAIN]), math.sqrt(best.covariance[GAIN, GAIN] * widen)
+    corrected, corrected_u = best.corrected(widen)
+    return BeamsFit(
+        lock_in_rate=value / scale,
+        lock_in_rate_u=u / scale,
+        lock_in_rate_low_95=low / scale,
+        lock_in_rate_high_95=high / scale,
+        backscatter=np.array([told["first"][0], told["second"][0]]),
+        backscatter_u=np.array([told["first"][1], told["second"][1]]),
+        phase_sum=told["sum"][0] % (2 * math.pi),
+        phase_sum_u=told["sum"][1],
+        backscatter_phase=told["phase"][0],
+        backscatter_phase_u=told["phase"][1],
+        gain_rate=math.exp(gain),
+        gain_rate_low_95=math.exp(gain - NORMAL_95 * gain_u),
+        gain_rate_high_95=math.exp(min(gain + NORMAL_95 * gain_u, 700.0)),
+        distortion=float(best.parameters[DISTORTION]),
+        distortion_u=math.sqrt(best.covariance[DISTORTION, DISTORTION] * widen),
+        rate=ratios.rate,
+        beat_frequency=ratios.angular / (2 * np.pi),
+        corrected_frequency=corrected,
+        corrected_frequency_u=corrected_u,
+        push=push,
+        routes=routes,
+        routes_chi_square=routes_chi,
+        routes_p_value=routes_p,
+        chi_square=best.chi_square,
+        degrees_of_freedom=degrees,
+        p_value=p_value,
+        flags=flags,
+    )
+
+
+def _data(fit: RatesFit, modulation: BeamModulation, known: BeamsKnowledge, receiver: ReceiverKnowledge) -> _Data:
+    """The records gathered into points, and what is known of everything beforehand."""
+    records = fit.each.records
+    points = gather(records)
+    some, count = points.points, points.points.rate.size
+    sums, rate_u = np.zeros((2, 4, count)), np.zeros((2, count))
+    for rows, data, _ in records.data():
+        place, swing = points.places[data], modulation[rows]
+        rate_u += np.stack([np.bincount(place, minlength=count), np.bincount(place, records.rate_u[rows], count)])
+        for beam in range(2):
+            weight = np.nan_to_num(swing.modulation_u[:, beam] ** -2.0)
+            value, over = np.nan_to_num(swing.modulation[:, beam]), np.nan_to_num(swing.beat_over_level[:, beam])
+            columns = weight, weight * value.real, weight * value.imag, weight * over
+            sums[beam] += [np.bincount(place, column, count) for column in columns]
+    if not sums[:, 0].any():
+        raise NoFit("no record with a single beam that could be used")
+    total = np.maximum(sums[:, 0], 1e-300)
+    mean, over = (sums[:, 1] + 1j * sums[:, 2]) / total, sums[:, 3] / total
+    spread, freedom = 0.0, 0
+    for rows, data, _ in records.data():
+        place, swing = points.places[data], modulation[rows]
+        left = np.abs(swing.modulation - mean[:, place].T) / swing.modulation_u
+        spread += float(np.nansum(left**2))
+        freedom += 2 * int(np.isfinite(left).sum())
+    freedom -= 2 * int(np.count_nonzero(sums[:, 0]))
+    wider = 1.0
+    if freedom > 0 and float(scipy.special.chdtrc(freedom, spread)) < UNLIKELY:
+        wider = math.sqrt(spread / freedom)
+    rate_weight = np.zeros(count)
+    own = TABLE_RATE_LIMIT / _RECTANGLE if math.isnan(known.rate_u) else known.rate_u
+    if not records.records.rate_of_beat:
+        rate_weight = 1 / np.hypot(rate_u[1] / rate_u[0], own * np.abs(some.rate))
+    before = receiver.prior(float(some.angular.min()) / (2 * np.pi)).seen_by(some)
+    beat_receiver = {DISTORTION: 2, LAG: 4, THIRD_ORDER: 5, BETWEEN: 6, TURN: 7, BEND: 8, DRIFT: 9}
+    middle, sd = np.zeros(N_PARAMETERS), np.full(N_PARAMETERS, np.inf)
+    for mine, theirs in beat_receiver.items():
+        middle[mine], sd[mine] = before.mean[theirs], before.sd[theirs]
+    sd[LAG] = math.sqrt(sd[LAG] * _RECTANGLE) / _RECTANGLE  # of the square of a time
+    corner = receiver.gain_corner
+    middle[GAIN], sd[GAIN] = _GAIN, _GAIN_U
+    if corner.u_hz > 0:
+        middle[GAIN], sd[GAIN] = math.log(2 * math.pi * corner.hz), corner.u_hz / corner.hz
+    middle[SATURATION], sd[SATURATION] = _SATURATION, _SATURATION_U
+    crosstalk = CROSSTALK_LIMIT if math.isnan(known.crosstalk_limit) else known.crosstalk_limit
+    slowest = float(some.angular.min()) / (2 * np.pi)
+    bandwidth = lowest_bandwidth(slowest) if math.isnan(known.bandwidth_hz) else known.bandwidth_hz
+    stated = LEVEL_LIMIT / _RECTANGLE if math.isnan(known.level_u) else known.level_u
+    sd[LEVEL] = _NO_LEVEL_U if modulation.flags & BeamsFlag.NO_LEVEL else stated
+    sd[CROSSTALK] = sd[OTHER_BEAM] = crosstalk / _RECTANGLE
+    if sums[:, 0].any(axis=1).all():
+        levels = over.max(axis=1) / over[::-1].max(axis=1)  # of the other beam, over the beam's own
+        sd[OTHER_BEAM] *= levels
+    sd[DELAY] = 1 / (2 * np.pi * bandwidth) / _RECTANGLE
+    sd[CORNER] = CORNER_LIMIT * known.ac_corner_hz / _RECTANGLE
+    middle[PEDESTAL], sd[PEDESTAL] = _PEDESTAL, _PEDESTAL_U
+    scale_u = math.hypot(SCALE_FACTOR_LIMIT, TABLE_RATE_LIMIT) / _RECTANGLE
+    there = bool(rate_weight.any())
+    sd[SCALE] = (scale_u if math.isnan(known.scale_u) else known.scale_u) * there
+    sd[BIAS] = _BIAS * there
+    weight = np.where(sums[:, 0] > 0, np.sqrt(sums[:, 0]), 0.0) / wider
+    for beam in range(2):
+        if not weight[beam].any():
+            for part in (LEVEL, CROSSTALK, OTHER_BEAM, DELAY):
+                sd[part.start + beam] = 0.0
+    return _Data(points, np.asarray(mean.T), weight.T, over.T, rate_weight, middle, sd, known.ac_corner_hz)
+
+
+_NO_LEVEL_U = 3.0
+
+
+@dataclass(frozen=True)
+class _Solution:
+    """One minimum of chi-square."""
+
+    model: _Model
+    parameters: Floats
+    covariance: Floats  # (N_PARAMETERS, N_PARAMETERS), 0 where held
+    chi_square: float
+    log_volume: float
+
+    def apart(self, other: _Solution) -> Floats:
+        """Differences of both backscatters from another's: of logarithms, and rad."""
+        difference = self.parameters[:4] - other.parameters[:4]
+        difference[1::2] = np.angle(np.exp(1j * difference[1::2]))
+        return difference
+
+    def of(self, name: str, widen: float) -> tuple[float, float]:
+        """Size of a backscatter, phase of the sum or of the coupling, and its standard uncertainty."""
+
+        def value(parameters: Floats) -> float:
+            first, second = complex(_backscatter(parameters[FIRST])), complex(_backscatter(parameters[SECOND]))
+            angles = {"sum": second * np.conj(first) * about, "phase": (first + second) * about}
+            if name in angles:
+                return float(np.angle(angles[name]))
+            return abs(first if name == "first" else second)
+
+        about = complex(1.0)  # so that no angle lies beside its jump
+        turned = value(self.parameters) if name in ("sum", "phase") else 0.0
+        about = complex(np.exp(-1j * turned))
+        slope, here = np.zeros(N_PARAMETERS), value(self.parameters)
+        for place in range(4):
+            moved = self.parameters.copy()
+            moved[place] += _SMALL
+            slope[place] = (value(moved) - here) / _SMALL
+        return here + turned, math.sqrt(max(float(slope @ self.covariance @ slope), 0.0) * widen)
+
+    def size(self, widen: float) -> tuple[float, float, float, float]:
+        """|C| freed of the bias that noise gives to the size of a complex number, its u and 95 % interval, rad/s."""
+        first, second = (complex(_backscatter(self.parameters[part])) for part in (FIRST, SECOND))
+        both = np.array([[first.real, -first.imag, second.real, -second.imag], [first.imag, first.real, second.imag, second.real]])
+        x, y = (first + second).real, (first + second).imag
+        spread = both @ self.covariance[:4, :4] @ both.T * widen
+        size = max(math.hypot(x, y), 1e-300)
+        along, across = np.array([x, y]) / size, np.array([-y, x]) / size
+        u = math.sqrt(max(float(along @ spread @ along), 1e-300))
+        low, high = size_interval(size / u)
+        freed = math.sqrt(max(size**2 - float(across @ spread @ across), 0.0))
+        return freed, u, float(low) * u, float(high) * u
+
+    def push(self) -> Floats:
+        """Share by which each beat is faster than the lock-in equation says, (P,)."""
+        sagnac = self.model.predicted(self.parameters[np.newaxis])[3][0]
+        coupling = abs(complex(_backscatter(self.parameters[FIRST]) + _backscatter(self.parameters[SECOND])))
+        by_lock_in = np.sqrt(np.maximum(sagnac**2 - coupling**2, 1e-300))
+        return np.asarray(self.model.data.points.points.angular / by_lock_in - 1)
+
+    def corrected(self, widen: float) -> tuple[Floats, Floats]:
+        """Beat that each point would have without backscatter, Hz, signed, and its u: what the fit does not know."""
+        sagnac = self.model.predicted(self.parameters[np.newaxis])[3][0]
+        moved = self.parameters + _steps(self.model.data)
+        slopes = (self.model.predicted(moved)[3] - sagnac) / np.diagonal(moved - self.parameters)[:, np.newaxis]
+        variance = np.einsum("ip,ij,jp->p", slopes, self.covariance, slopes) * widen
+        return sagnac / (2 * np.pi), np.sqrt(np.maximum(variance, 0.0)) / (2 * np.pi)
+
+
+def _steps(data: _Data) -> Floats:
+    """A step of each parameter, (N_PARAMETERS, N_PARAMETERS), by which derivatives are taken."""
+    return np.diag(np.where(np.isfinite(data.sd) & (data.sd > 0), 1e-4 * data.sd, _SMALL))
+
+
+_SMALL = 1e-6
+
+
+def _solutions(data: _Data, starts: Floats | None = None) -> list[_Solution]:
+    """The minima that are possible, the best first."""
+    model = _Model(data)
+    tried = _starts(data) if starts is None else list(starts)
+    ended = (_search(model, start, _TRIES) for start in tried)
+    looked = sorted((one for one in ended if one is not None), key=lambda one: one[1])
+    if not looked:
+        raise NoFit("no two-mode laser fits the records of beat and beams")
+    found: list[_Solution] = []
+    for start, cost in looked:
+        if cost > looked[0][1] + 1e3 and found:
+            break
+        end = _search(model, start, _EVALUATIONS)
+        if end is None:
+            continue
+        one = _solution(model, end[0])
+        u = 1e-3 + 0.5 * np.sqrt(np.diagonal(one.covariance)[:4])
+        if not any(np.all(np.abs(one.apart(other)) < u) for other in found):
+            found.append(one)
+    found.sort(key=lambda one: one.chi_square)
+    return [one for one in found if one.chi_square < found[0].chi_square + POSSIBLE]
+
+
+def _search(model: _Model, start: Floats, evaluations: int) -> tuple[Floats, float] | None:
+    """Least squares from a start: parameters and chi-square; ``None`` where no laser is near it."""
+    from scipy.optimize import least_squares  # takes as long to import as all else
+
+    free = np.flatnonzero(model.data.sd > 0)
+
+    def whole(values: Floats) -> Floats:
+        parameters = start.copy()
+        parameters[free] = values
+        return parameters
+
+    def residual(values: Floats) -> Floats:
+        return np.asarray(model.residual(whole(values)[np.newaxis], keep=True)[0])
+
+    def slope(values: Floats) -> Floats:
+        return _jacobian(model, whole(values), free)
+
+    if residual(start[free])[0] == _FAILED:
+        return None
+    made = least_squares(
+        residual,
+        start[free],
+        jac=slope,
+        x_scale="jac",
+        max_nfev=evaluations,
+        ftol=1e-6,
+        xtol=None,
+        gtol=None,
+    )
+    return whole(made.x), 2 * float(made.cost)
+
+
+def _jacobian(model: _Model, parameters: Floats, free: Indices) -> Floats:
+    """Derivatives of the residuals, (values, free)."""
+    steps = _steps(model.data)[free]
+    both = model.residual(np.concatenate([parameters + steps, parameters[np.newaxis]]))
+    return np.asarray(((both[:-1] - both[-1]) / steps[np.arange(free.size), free][:, np.newaxis]).T)
+
+
+def _solution(model: _Model, parameters: Floats) -> _Solution:
+    free = np.flatnonzero(model.data.sd > 0)
+    residual = model.residual(parameters[np.newaxis], keep=True)[0]
+    slopes = _jacobian(model, parameters, free)
+    size = np.maximum(np.linalg.norm(slopes, axis=0), 1e-300)
+    eigenvalues, vectors = np.linalg.eigh((slopes / size).T @ (slopes / size))
+    eigenvalues = np.maximum(eigenvalues, 1e-14)
+    covariance = np.zeros((N_PARAMETERS, N_PARAMETERS))
+    covariance[np.ix_(free, free)] = (vectors / eigenvalues) @ vectors.T / np.outer(size, size)
+    volume = -0.5 * float(np.sum(np.log(eigenvalues))) - float(np.sum(np.log(size)))
+    return _Solution(model, parameters, covariance, float(residual @ residual), volume)
+
+
+def _starts(data: _Data) -> list[Floats]:
+    """Starts by equation (1) and that of the harmonics, linear in C, D and what is added, at gains that suit it."""
+    gains = np.exp(np.mean(np.log(data.points.points.angular))) / np.geomspace(0.01, 20.0, 24)
+    tried = [_linear(data, float(gain)) for gain in gains]
+    costs = np.array([cost for _, cost in tried])
+    edged = np.pad(costs, 1, constant_values=np.inf)
+    lowest = np.flatnonzero((costs <= edged[:-2]) & (costs <= edged[2:]))
+    lowest = lowest[np.argsort(costs[lowest])][:3]
+    beside = [place + step for step in (0, -2, 2, -4, 4) for place in lowest if 0 <= place + step < costs.size]
+    return [tried[place][0] for place in dict.fromkeys(beside)]
+
+
+def _linear(data: _Data, gain: float) -> tuple[Floats, float]:
+    """Best parameters of the linear equations at a gain, and what they leave."""
+    some = data.points.points
+    w, positive, gd = some.angular, some.rate > 0, gain * (1 - _SATURATION) / (1 + _SATURATION)
+    columns = []
+    for coupling, other in ((1, 0), (1j, 0), (0, 1), (0, 1j)):
+        by_sum = np.where(positive, 1j * coupling, np.conj(1j * coupling)) / (gain + 1j * w)
+        by_difference = np.where(positive, 1j * other, np.conj(1j * other)) / (gd + 1j * w)
+        harmonic = np.where(positive, -coupling, np.conj(coupling)) / (2 * w) * gain / (gain + 1j * w)
+        columns.append(np.stack([by_sum + by_difference, by_sum - by_difference, harmonic]))
+    beside = np.stack([*data.over.T, some.amplitude]).astype(np.complex128)
+    columns += [np.where(np.arange(3)[:, np.newaxis] == place, beside, 0.0) for place in range(3)]
+    target = np.stack([*data.swing.T, some.ratio])
+    # they hold to first order in the ratio only
+    rough = 0.01 + 3 * np.abs(some.ratio) ** 2 + 0.3 * np.abs(some.ratio)
+    noise = np.sqrt(np.trace(data.points.covariance, axis1=-2, axis2=-1) / 2)
+    us = np.hypot(np.stack([*(1 / np.maximum(data.swing_weight.T, 1e-9)), noise]), rough * np.abs(target))
+    rows = np.array([(one / us).ravel() for one in columns]).T
+    known = np.diag([0.0] * 4 + [*(1 / np.maximum(data.sd[CROSSTALK], 1e-9)), 1 / min(data.sd[DISTORTION], 0.01)])
+    system, aim = np.concatenate([rows.real, rows.imag, known]), (target / us).ravel()
+    aims = np.concatenate([aim.real, aim.imag, np.zeros(7)])
+    values = np.linalg.lstsq(system, aims, rcond=None)[0]
+    start = np.where(np.isfinite(data.sd), data.mean, 0.0)
+    coupling, other = complex(*values[:2]), complex(*values[2:4])
+    for part, one in ((FIRST, (coupling - other) / 2), (SECOND, (coupling + other) / 2)):
+        start[part] = math.log(max(abs(one), 1e-3 * abs(coupling))), np.angle(one)
+    start[GAIN], start[CROSSTALK], start[DISTORTION] = math.log(gain), values[4:6], values[6]
+    return start, float(np.sum((system @ values - aims) ** 2))
+
+
+_FREED_U = 0.03
+
+
+def _routes(fit: RatesFit, data: _Data, best: _Solution) -> tuple[Route, ...]:
+    """The lock-in rate by harmonics alone, by the beams alone and by the frequencies alone."""
+    scale = 2 * np.pi * data.points.records.records.scale_factor
+    own = fit.lock_in_rate, fit.lock_in_rate_u, fit.lock_in_rate_low_95, fit.lock_in_rate_high_95
+    routes = [Route("harmonics", *own)]
+    by_beams = replace(data, harmonics=False, rate_weight=np.zeros_like(data.rate_weight))
+    try:
+        one = _solutions(by_beams, best.parameters[np.newaxis])[0]
+        routes.append(Route("beams", *(each / scale for each in one.size(1.0))))
+    except NoFit:
+        pass
+    if data.rate_weight.any():
+        # freed of what the difference of the beams does, by the laser of all
+        some, push = data.points.points, best.push()
+        frequency = some.angular / (2 * np.pi)
+        try:
+            by_rates = fit_frequencies(
+                some.rate,
+                frequency / (1 + push),
+                _FREED_U * np.abs(push) * frequency,
+                input_rate_u=1 / data.rate_weight,
+                bias=np.unique(np.sign(some.rate)).size == 2,
+            )
+            ends = by_rates.lock_in_rate_low_95, by_rates.lock_in_rate_high_95
+            if math.isfinite(by_rates.lock_in_rate):
+                routes.append(Route("frequencies", by_rates.lock_in_rate, by_rates.lock_in_rate_u, *ends))
+        except NoFit:
+            pass
+    return tuple(routes)

@@ -1,23 +1,24 @@
 """Lock-in rate from beat and single beams together: what their modulation settles that the beat leaves open.
 
-Backscatter modulates the two beams at the beat frequency ("winking"). Far above lock-in, with C = a1 e^(-i eps/2) +
-a2 e^(i eps/2) and D = a2 e^(i eps/2) - a1 e^(-i eps/2), both turned by the readout phase, g and g_d the rates at which
-sum and difference of the beams relax, AC over DC of beam 1 and 2 against the phase of the beat is
+Backscatter modulates the two beams at the beat frequency ("winking"). Let C = a1 e^(-i eps/2) + a2 e^(i eps/2) and
+D = a2 e^(i eps/2) - a1 e^(-i eps/2), both turned by the readout phase, and g and g_d the rates at which sum and
+difference of the beams relax. Far above lock-in AC over DC of beams 1 and 2, against the phase of the beat, is
 
-    m = i C/(g + i w) +- i D/(g_d + i w),     its conjugate but for w in the other sense               (1)
+    m = i C/(g + i w) +- i D/(g_d + i w),     the conjugate of both numerators in the other sense      (1)
 
-while the beat's second harmonic over its fundamental is -C/(2 w) g/(g + i w), and WL = |C|/(2 pi K). So the beams show
-the phase of C, which is all that distortion of the receiver hides, D, which no harmonic shows, and g.
+while the beat's second harmonic over its fundamental is -C/(2 w) g/(g + i w), and WL = |C|/(2 pi K). So the beams
+show the phase of C, which distortion of the receiver hides, D, which no harmonic shows, and g.
 
-Nothing is of first order here: every setting is the periodic solution of the equations of a two-mode laser
-(`analysis.ring_laser.two_mode_laser`) at the beat that was seen, and its signals go through what is known of the three
-receivers. One least-squares fit has the harmonics of the beat, the beams and the rates of the table as its data, and
-whatever may spoil them as its unknowns, each with a bound.
+The fit is not of first order: every setting is the periodic solution of the equations of a two-mode laser
+(`analysis.ring_laser.two_mode_laser`) at the beat that was seen, and its signals go through three receivers. One
+least-squares fit has the harmonics of the beat, the beams and the rates of the table as its data, and whatever may
+spoil them as its unknowns, each with a bound.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import IntFlag
 from typing import Literal
@@ -33,8 +34,8 @@ from analysis.harmonics import fit_free_harmonics
 from analysis.lockin_rate import size_interval
 from analysis.ring_laser.two_mode_laser import beat_phase, periodic_states
 from analysis.several_rates import RatesFit, ReceiverKnowledge
-from analysis.several_rates.points import Points, gather
-from analysis.several_rates.ratio_model import in_standard_uncertainties, nearest_series
+from analysis.several_rates.points import Points, gather, with_noise
+from analysis.several_rates.ratio_model import SENSES, RatioData, in_standard_uncertainties, nearest_series
 
 NORMAL_95 = 1.959964
 
@@ -143,7 +144,7 @@ def beam_modulation(
             flags |= int(problem)
             continue
         if math.isnan(dc):
-            flags, dc = flags | int(BeamsFlag.NO_LEVEL), float(np.median(np.abs(line))) / _TYPICAL
+            flags, dc = flags | int(BeamsFlag.NO_LEVEL), 1.0  # a modulation in volts, the same for all rates
         kept = rows[~cut]
         swing[kept, number] = (line * turn / dc)[~cut]
         # the phase of the beat is in it too
@@ -154,7 +155,6 @@ def beam_modulation(
 
 
 _FADED = 0.7  # share of a signal's power that stands in its lines; less where the rate moves much
-_TYPICAL = 0.01
 _LARGEST = 0.5  # AC over DC of a channel that shows the fringes rather than a beam
 
 
@@ -188,8 +188,8 @@ def _line(volts: Floats, frequency: Floats, sample_interval: float) -> tuple[Com
 
 N_PARAMETERS = 25
 
-# Both backscatters, turned by the readout phase: complex logarithms of a1 e^(-i eps/2) and of a2 e^(i eps/2), rad/s. Of
-# logarithms the valleys of chi-square are straight
+# Both backscatters, turned by the readout phase: complex logarithms of a1 e^(-i eps/2) and a2 e^(i eps/2), rad/s.
+# In logarithms the valleys of chi-square are straight
 FIRST, SECOND = slice(0, 2), slice(2, 4)
 # logarithm of g (rad/s), cross over self saturation
 GAIN, SATURATION = 4, 5
@@ -197,7 +197,7 @@ GAIN, SATURATION = 4, 5
 DISTORTION, LAG, THIRD_ORDER = 6, 7, 8
 # what changes: phase between the senses, over the run, its bend (rad), backscatter (relative)
 BETWEEN, TURN, BEND, DRIFT = 9, 10, 11, 12
-# of the beams' receivers, each: logarithm of the level's error, crosstalk of the beat and of the other beam, delay (s)
+# of each beam's receiver: logarithm of the level's error, crosstalk of the beat and of the other beam, delay (s)
 LEVEL, CROSSTALK, OTHER_BEAM, DELAY = slice(13, 15), slice(15, 17), slice(17, 19), slice(19, 21)
 # error of the AC coupling's corner (Hz); light of the beams in the beat's receiver, over that of the fringes
 CORNER, PEDESTAL = 21, 22
@@ -236,10 +236,12 @@ class _Data:
     swing_weight: Floats
     over: Floats  # (P, 2) amplitude of the beat over the level
     rate_weight: Floats  # (P,) reciprocal of the u of each rate, deg/s; 0 where nobody knows it
+    beat_u: Floats  # (P,) Hz
     mean: Floats  # (N_PARAMETERS,) known beforehand, and its standard deviation
     sd: Floats
     ac_corner_hz: float  # of the coupling that was taken out of the beams
     harmonics: bool = True  # whether ratio and third harmonic count
+
 
 # --------------------
 # The model: a periodic solution for every setting, seen by three receivers
@@ -301,7 +303,9 @@ class _Model:
         fixed = data.sd > 0
         before = (data.mean - parameters)[:, fixed] / data.sd[fixed]
         counts = float(data.harmonics)
-        parts = (counts * of_ratio, counts * of_third, of_swing.real, of_swing.imag, of_rate, before)
+        with np.errstate(invalid="ignore"):
+            of_ratio, of_third = counts * of_ratio, counts * of_third
+        parts = of_ratio, of_third, of_swing.real, of_swing.imag, of_rate, before
         whole = np.concatenate([part.reshape(len(parameters), -1) for part in parts], axis=-1)
         return np.where(found[:, np.newaxis] & np.isfinite(whole), whole, _FAILED)
 
@@ -309,74 +313,90 @@ class _Model:
         self, parameters: Floats, *, keep: bool = False
     ) -> tuple[Complexes, Floats, Complexes, Floats, Bools]:
         """Ratio, third harmonic (B, P), modulation of the beams (B, P, 2), 2 pi K W (B, P); sets that have any."""
-        data, some = self.data, self.data.points.points
-        lasers, count, n = _Lasers.of(parameters, data), len(parameters), self._values.shape[-1]
-        numbers = lasers.numbers.reshape(-1, 5)
-        place = np.tile(np.arange(some.rate.size), count)
-        # most parameters leave the laser as it is
-        _, which, back = np.unique(
-            np.column_stack([numbers, place]), axis=0, return_index=True, return_inverse=True
-        )
-        start = numbers[which], self._sagnac[place[which]], self._values[place[which]], some.angular[place[which]]
-        values, sagnac, found = _by_degrees(*start)
-        if keep and found.all() and count == 1:
-            self._values[place[which]], self._sagnac[place[which]] = values, sagnac
-        a1, a2, half = numbers[which].T[:3, :, np.newaxis]
-        psi = self._sense[place[which]][:, np.newaxis] * 2 * np.pi * np.arange(n) / n
-        swap = np.exp((values[:, 0] - values[:, 1]) / 2)
-        speed = sagnac[:, np.newaxis] - a1 * swap * np.sin(psi - half) - a2 / swap * np.sin(psi + half)
-        turned, weight = beat_phase(psi, 1 / np.abs(speed))
-        powers = np.multiply.accumulate(np.tile(np.exp(-1j * turned), (n // 2, 1, 1)))
-        kernel = np.moveaxis(powers, 0, 1) * (2 * weight / n)[:, np.newaxis]
-        light = np.exp(values)
-        beams = np.einsum("bik,bk->bi", light, kernel[:, 0])
-        # the beat of every set, since its receiver differs
-        back = back.ravel()
-        readout, column = lasers.readout.reshape(-1, 1), parameters[:, np.newaxis]
-        signal = np.exp(values.mean(axis=1))[back] * np.sin(psi[back] + readout)
-        pedestal = np.repeat(parameters[:, PEDESTAL], some.rate.size)[:, np.newaxis]
-        signal = signal + pedestal * (light.mean(axis=1) - 1)[back]
-        shape = (count, some.rate.size)
-        x = some.angular * column[..., LAG]
-        amplitude = some.amplitude * np.hypot(1.0, x)
-        curved = (column[..., DISTORTION] * amplitude).reshape(-1, 1)
-        cubic = column[..., THIRD_ORDER] * amplitude**2
-        cubic = (cubic / (1 - 3 * cubic)).reshape(-1, 1)
-        signal = (signal + 4 * cubic * signal**3) / (1 + 3 * cubic) + 2 * curved * signal**2
-        lines = np.einsum("bk,bmk->bm", signal, kernel[back])
-        lines = lines / (1 + 1j * x.reshape(-1, 1) * np.arange(1, n // 2 + 1))
+        data, angular, column = self.data, self.data.points.points.angular, parameters[:, np.newaxis]
+        lasers, shape = _Lasers.of(parameters, data), (len(parameters), angular.size)
+        light = self._light(lasers.numbers.reshape(-1, 5), keep=keep and len(parameters) == 1)
+        back = light.of_set
+        lines = self._lines(parameters, lasers.readout.reshape(-1, 1), light)
         with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
             w, value = nearest_series(lines, lines[:, 1] / lines[:, 0])
             turn = np.abs(value) / value
             left = lines[:, 2] - (1 - np.abs(w) ** 2) * value * np.conj(w) ** 2
             third = (left * turn**3).real / np.abs(value)
-        phase = np.abs(lines[:, 0]) / lines[:, 0]
-        swing = (beams[back] * phase[:, np.newaxis]).reshape(*shape, 2)
-        beside = column[..., CROSSTALK] * data.over + column[..., OTHER_BEAM] * swing[..., ::-1]
-        slow = 1 + 1j * some.angular[:, np.newaxis] * column[..., DELAY]
-        hertz, stated = some.angular[:, np.newaxis] / (2 * np.pi), data.ac_corner_hz
+        beams = np.einsum("bik,bk->bi", light.beams, light.kernel[:, 0])[back]
+        swing = (beams * (np.abs(lines[:, 0]) / lines[:, 0])[:, np.newaxis]).reshape(*shape, 2)
+        swing = swing + column[..., CROSSTALK] * data.over + column[..., OTHER_BEAM] * swing[..., ::-1]
+        slow = 1 + 1j * angular[:, np.newaxis] * column[..., DELAY]
+        hertz, stated = angular[:, np.newaxis] / (2 * np.pi), data.ac_corner_hz
         corner = (hertz - 1j * stated) / (hertz - 1j * (stated + column[..., CORNER, np.newaxis]))
-        swing = np.exp(column[..., LEVEL]) * (swing + beside) * corner / slow
-        good = np.asarray(found[back].reshape(shape).all(axis=1))
-        ratio = (np.conj(w) * turn).reshape(shape)
-        return ratio, third.reshape(shape), swing, sagnac[back].reshape(shape), good
+        swing = np.exp(column[..., LEVEL]) * swing * corner / slow
+        ratio, good = (np.conj(w) * turn).reshape(shape), light.found[back].reshape(shape).all(axis=1)
+        return ratio, third.reshape(shape), swing, light.sagnac[back].reshape(shape), np.asarray(good)
+
+    def _light(self, numbers: Floats, *, keep: bool) -> _Light:
+        """Periodic solutions for the lasers (B P, 5) of all sets: each different one once."""
+        some, n = self.data.points.points, self._values.shape[-1]
+        place = np.tile(np.arange(some.rate.size), len(numbers) // some.rate.size)
+        # most parameters leave the laser as it is
+        _, which, back = np.unique(
+            np.column_stack([numbers, place]), axis=0, return_index=True, return_inverse=True
+        )
+        lasers, at = numbers[which], place[which]
+        values, sagnac, found = _by_degrees(lasers, self._sagnac[at], self._values[at], some.angular[at])
+        if keep and found.all():
+            self._values[at], self._sagnac[at] = values, sagnac
+        a1, a2, half = lasers.T[:3, :, np.newaxis]
+        psi = self._sense[at][:, np.newaxis] * 2 * np.pi * np.arange(n) / n
+        swap = np.exp((values[:, 0] - values[:, 1]) / 2)
+        speed = sagnac[:, np.newaxis] - a1 * swap * np.sin(psi - half) - a2 / swap * np.sin(psi + half)
+        turned, weight = beat_phase(psi, 1 / np.abs(speed))
+        powers = np.multiply.accumulate(np.tile(np.exp(-1j * turned), (n // 2, 1, 1)))
+        kernel = np.asarray(np.moveaxis(powers, 0, 1) * (2 * weight / n)[:, np.newaxis], np.complex128)
+        return _Light(psi, np.exp(values), kernel, sagnac, found, back.ravel())
+
+    def _lines(self, parameters: Floats, readout: Floats, light: _Light) -> Complexes:
+        """Harmonics (B P, n // 2) of the beat behind its receiver, over its amplitude."""
+        some, column, back = self.data.points.points, parameters[:, np.newaxis], light.of_set
+        fringes = np.sqrt(light.beams.prod(axis=1))[back] * np.sin(light.psi[back] + readout)
+        pedestal = np.repeat(parameters[:, PEDESTAL], some.rate.size)[:, np.newaxis]
+        signal = fringes + pedestal * (light.beams.mean(axis=1) - 1)[back]
+        x = some.angular * column[..., LAG]
+        amplitude = some.amplitude * np.hypot(1.0, x)  # before the pole
+        curved = (column[..., DISTORTION] * amplitude).reshape(-1, 1)
+        cubic = column[..., THIRD_ORDER] * amplitude**2
+        cubic = (cubic / (1 - 3 * cubic)).reshape(-1, 1)
+        signal = (signal + 4 * cubic * signal**3) / (1 + 3 * cubic) + 2 * curved * signal**2
+        lines = np.einsum("bk,bmk->bm", signal, light.kernel[back])
+        return np.asarray(lines / (1 + 1j * x.reshape(-1, 1) * np.arange(1, lines.shape[1] + 1)))
+
+
+@dataclass(frozen=True)
+class _Light:
+    """Periodic solutions of L different lasers at n even steps of their phase."""
+
+    psi: Floats  # (L, n)
+    beams: Floats  # (L, 2, n) I1 and I2
+    kernel: Complexes  # (L, n // 2, n) gives the harmonics in time
+    sagnac: Floats  # (L,) 2 pi K W, and whether there is a solution
+    found: Bools
+    of_set: Indices  # (B P,) which of them each set has at each point
 
 
 _DETOUR = (0.3, 0.6, 0.8, 0.9, 1.0)
 
 
-def _by_degrees(
-    lasers: Floats, sagnac: Floats, start: Floats, angular: Floats
-) -> tuple[Floats, Floats, Bools]:
+def _by_degrees(lasers: Floats, sagnac: Floats, start: Floats, angular: Floats) -> tuple[Floats, Floats, Bools]:
     """As :func:`periodic_states`; where it finds none, by way of weaker backscatter."""
     values, rates, found = periodic_states(lasers, sagnac, start, angular)
     lost = np.flatnonzero(~found)
     if lost.size:
-        some, then = np.zeros_like(start[lost]), np.sign(sagnac[lost]) * angular[lost]
+        free = np.sign(sagnac[lost]) * angular[lost]
+        some, then = np.zeros_like(start[lost]), free
         for share in _DETOUR:
             weaker = lasers[lost] * np.array([share, share, 1.0, 1.0, 1.0])
-            some, then, found[lost] = periodic_states(weaker, then, some, angular[lost])
-            some, then = np.where(found[lost, np.newaxis, np.newaxis], some, 0.0), np.where(found[lost], then, np.sign(then) * angular[lost])
+            some, then, there = periodic_states(weaker, then, some, angular[lost])
+            some, then = np.where(there[:, np.newaxis, np.newaxis], some, 0.0), np.where(there, then, free)
+        found[lost] = there
         values[lost], rates[lost] = some, then
     return values, rates, found
 
@@ -387,6 +407,8 @@ def _by_degrees(
 
 POSSIBLE = 9.0  # chi-square above the best up to which another solution is possible
 UNLIKELY = 0.001
+_HOPELESS = 100.0  # chi-square over the number of values, from which on no laser is near the records
+_GOOD = 2.0  # chi-square over the number of values, up to which a search is not begun at a much worse place
 _TRIES, _EVALUATIONS = 10, 60  # steps of a first look, and of the search to the end
 
 
@@ -406,14 +428,16 @@ class BeamsFit:
     """Lock-in rate of many records with their single beams.
 
     lock_in_rate, lock_in_rate_u, lock_in_rate_low_95, lock_in_rate_high_95 : deg/s, for the scale factor as given
-    backscatter, backscatter_u : (2,) rad/s, a1 and a2
+    backscatter_1, backscatter_1_u, backscatter_2, backscatter_2_u : rad/s, a1 and a2
     phase_sum, phase_sum_u : rad, eps, between 0 and 2 pi
     backscatter_phase, backscatter_phase_u : rad, beta less the readout phase
     gain_rate, gain_rate_low_95, gain_rate_high_95 : rad/s, at which the sum of the beams relaxes
     distortion, distortion_u : as in `RatesFit`
-    rate, beat_frequency, corrected_frequency, corrected_frequency_u : (p,) of every setting and visit: deg/s, Hz, and
-        the beat that the gyro would have without backscatter, signed as the rate
-    push : (p,) share by which the difference of the beams has made each beat faster than the lock-in equation says
+    rate, beat_frequency, corrected_frequency, corrected_frequency_u : (p,) of every setting and visit: deg/s, Hz,
+        and the beat that the gyro would have without backscatter, signed as the rate
+    modulation, modulation_u, fitted : (p, 2) AC over DC of both beams against the phase of the beat, as it was
+        seen and as the fit has it
+    push : (p,) share by which the difference of the beams makes each beat faster than the lock-in equation says
     routes, routes_chi_square, routes_p_value : the lock-in rate by each way, and whether they agree
     chi_square, degrees_of_freedom, p_value : of all data and of what was known beforehand
     flags : bits of `BeamsFlag`
@@ -423,8 +447,10 @@ class BeamsFit:
     lock_in_rate_u: float
     lock_in_rate_low_95: float
     lock_in_rate_high_95: float
-    backscatter: Floats
-    backscatter_u: Floats
+    backscatter_1: float
+    backscatter_1_u: float
+    backscatter_2: float
+    backscatter_2_u: float
     phase_sum: float
     phase_sum_u: float
     backscatter_phase: float
@@ -438,6 +464,9 @@ class BeamsFit:
     beat_frequency: Floats
     corrected_frequency: Floats
     corrected_frequency_u: Floats
+    modulation: Complexes
+    modulation_u: Floats
+    fitted: Complexes
     push: Floats
     routes: tuple[Route, ...]
     routes_chi_square: float
@@ -484,26 +513,28 @@ def fit_beams(
     """
     data = _data(fit, modulation, knowledge or BeamsKnowledge(), receiver or ReceiverKnowledge())
     found = _solutions(data)
-    best = found[0]
-    value_count = int(np.count_nonzero(data.swing_weight)) * 2 + int(np.count_nonzero(data.rate_weight))
-    ratios = data.points.points
-    value_count += 2 * ratios.rate.size + int(np.count_nonzero(ratios.third_weight))
-    degrees = value_count - int(np.count_nonzero(np.isinf(data.sd)))
+    best, points = found[0], data.points.points
+    weights = (
+        data.swing_weight,
+        data.swing_weight,
+        data.rate_weight,
+        points.ratio,
+        points.ratio,
+        points.third_weight,
+    )
+    degrees = sum(int(np.count_nonzero(one)) for one in weights) - int(np.count_nonzero(np.isinf(data.sd)))
     p_value = float(scipy.special.chdtrc(degrees, best.chi_square)) if degrees > 0 else math.nan
     widen = max(best.chi_square / max(degrees, 1), 1.0) if p_value < UNLIKELY else 1.0
     scale = 2 * np.pi * data.points.records.records.scale_factor
-    answers = [one.size(widen) for one in found]
-    weights = np.exp([-0.5 * (one.chi_square - best.chi_square) / widen + one.log_volume for one in found])
-    weights /= weights.sum()
+    answers = [one.coupling(widen)[0] for one in found]
+    # by Laplace, as in the fit of the beat alone
+    likely = np.exp([-0.5 * (one.chi_square - best.chi_square) / widen + one.log_volume for one in found])
+    likely /= likely.sum()
     value = answers[0][0]
-    u = math.sqrt(sum(w * (a[1] ** 2 + (a[0] - value) ** 2) for w, a in zip(weights, answers, strict=True)))
+    u = math.sqrt(sum(w * (a[1] ** 2 + (a[0] - value) ** 2) for w, a in zip(likely, answers, strict=True)))
     low, high = min(a[2] for a in answers), max(a[3] for a in answers)
     routes, push = _routes(fit, data, best), best.push()
-    mean_weights = np.array([1 / max(route.lock_in_rate_u, 1e-300) ** 2 for route in routes])
-    values = np.array([route.lock_in_rate for route in routes])
-    mean = float(np.average(values, weights=mean_weights))
-    routes_chi = float(np.sum((values - mean) ** 2 * mean_weights))
-    routes_p = float(scipy.special.chdtrc(len(routes) - 1, routes_chi)) if len(routes) > 1 else math.nan
+    routes_chi, routes_p = _agreement(routes)
     conditions = {
         BeamsFlag.MISFIT: p_value < UNLIKELY,
         BeamsFlag.ROUTES_DIFFER: routes_p < UNLIKELY,
@@ -511,30 +542,36 @@ def fit_beams(
         BeamsFlag.NOT_SIGNIFICANT: not value > 3.3 * u,
     }
     flags = modulation.flags | int(sum(bit for bit, raised in conditions.items() if raised))
-    names = ("first", "second", "sum", "phase")
-    told = {name: best.of(name, widen) for name in names}
-    gain, gain_u = float(best.parameters[GAIN]), math.sqrt(best.covariance[GAIN, GAIN] * widen)
+    values, covariance = best.parameters, best.covariance * widen
+    us, phase = np.sqrt(np.diagonal(covariance)), best.coupling(widen)[1]
+    first, second = math.exp(values[0]), math.exp(values[2])
+    gain, gain_u = float(values[GAIN]), float(us[GAIN])
     corrected, corrected_u = best.corrected(widen)
     return BeamsFit(
         lock_in_rate=value / scale,
         lock_in_rate_u=u / scale,
         lock_in_rate_low_95=low / scale,
         lock_in_rate_high_95=high / scale,
-        backscatter=np.array([told["first"][0], told["second"][0]]),
-        backscatter_u=np.array([told["first"][1], told["second"][1]]),
-        phase_sum=told["sum"][0] % (2 * math.pi),
-        phase_sum_u=told["sum"][1],
-        backscatter_phase=told["phase"][0],
-        backscatter_phase_u=told["phase"][1],
+        backscatter_1=first,
+        backscatter_1_u=first * float(us[0]),
+        backscatter_2=second,
+        backscatter_2_u=second * float(us[2]),
+        phase_sum=float(values[3] - values[1]) % (2 * math.pi),
+        phase_sum_u=math.sqrt(max(float(covariance[3, 3] + covariance[1, 1] - 2 * covariance[1, 3]), 0.0)),
+        backscatter_phase=phase[0],
+        backscatter_phase_u=phase[1],
         gain_rate=math.exp(gain),
         gain_rate_low_95=math.exp(gain - NORMAL_95 * gain_u),
         gain_rate_high_95=math.exp(min(gain + NORMAL_95 * gain_u, 700.0)),
-        distortion=float(best.parameters[DISTORTION]),
-        distortion_u=math.sqrt(best.covariance[DISTORTION, DISTORTION] * widen),
-        rate=ratios.rate,
-        beat_frequency=ratios.angular / (2 * np.pi),
+        distortion=float(values[DISTORTION]),
+        distortion_u=float(us[DISTORTION]),
+        rate=points.rate,
+        beat_frequency=points.angular / (2 * np.pi),
         corrected_frequency=corrected,
         corrected_frequency_u=corrected_u,
+        modulation=np.where(data.swing_weight > 0, data.swing, np.nan),
+        modulation_u=1 / np.maximum(data.swing_weight, 1e-300),
+        fitted=best.model.predicted(best.parameters[np.newaxis])[2][0],
         push=push,
         routes=routes,
         routes_chi_square=routes_chi,
@@ -550,70 +587,92 @@ def _data(fit: RatesFit, modulation: BeamModulation, known: BeamsKnowledge, rece
     """The records gathered into points, and what is known of everything beforehand."""
     records = fit.each.records
     points = gather(records)
-    some, count = points.points, points.points.rate.size
-    sums, rate_u = np.zeros((2, 4, count)), np.zeros((2, count))
-    for rows, data, _ in records.data():
-        place, swing = points.places[data], modulation[rows]
-        rate_u += np.stack([np.bincount(place, minlength=count), np.bincount(place, records.rate_u[rows], count)])
-        for beam in range(2):
-            weight = np.nan_to_num(swing.modulation_u[:, beam] ** -2.0)
-            value, over = np.nan_to_num(swing.modulation[:, beam]), np.nan_to_num(swing.beat_over_level[:, beam])
-            columns = weight, weight * value.real, weight * value.imag, weight * over
-            sums[beam] += [np.bincount(place, column, count) for column in columns]
-    if not sums[:, 0].any():
+    # drifts of the beat's fit may stand for what it does not know
+    steady = np.where(np.arange(fit.each.parameters.shape[1]) > SENSES, 0.0, fit.each.parameters)
+    scatter, degrees = points.scatter(steady)
+    if degrees > 0 and float(scipy.special.chdtrc(degrees, scatter)) < UNLIKELY:
+        points = with_noise(points, (scatter / degrees - 1) * points.covariance)
+    swing, weight, over = _swings(points, modulation)
+    if not weight.any():
         raise NoFit("no record with a single beam that could be used")
-    total = np.maximum(sums[:, 0], 1e-300)
-    mean, over = (sums[:, 1] + 1j * sums[:, 2]) / total, sums[:, 3] / total
-    spread, freedom = 0.0, 0
-    for rows, data, _ in records.data():
-        place, swing = points.places[data], modulation[rows]
-        left = np.abs(swing.modulation - mean[:, place].T) / swing.modulation_u
-        spread += float(np.nansum(left**2))
-        freedom += 2 * int(np.isfinite(left).sum())
-    freedom -= 2 * int(np.count_nonzero(sums[:, 0]))
-    wider = 1.0
-    if freedom > 0 and float(scipy.special.chdtrc(freedom, spread)) < UNLIKELY:
-        wider = math.sqrt(spread / freedom)
-    rate_weight = np.zeros(count)
-    own = TABLE_RATE_LIMIT / _RECTANGLE if math.isnan(known.rate_u) else known.rate_u
+    some, rate_weight = points.points, np.zeros(len(weight))
     if not records.records.rate_of_beat:
-        rate_weight = 1 / np.hypot(rate_u[1] / rate_u[0], own * np.abs(some.rate))
-    before = receiver.prior(float(some.angular.min()) / (2 * np.pi)).seen_by(some)
-    beat_receiver = {DISTORTION: 2, LAG: 4, THIRD_ORDER: 5, BETWEEN: 6, TURN: 7, BEND: 8, DRIFT: 9}
-    middle, sd = np.zeros(N_PARAMETERS), np.full(N_PARAMETERS, np.inf)
-    for mine, theirs in beat_receiver.items():
-        middle[mine], sd[mine] = before.mean[theirs], before.sd[theirs]
-    sd[LAG] = math.sqrt(sd[LAG] * _RECTANGLE) / _RECTANGLE  # of the square of a time
-    corner = receiver.gain_corner
-    middle[GAIN], sd[GAIN] = _GAIN, _GAIN_U
-    if corner.u_hz > 0:
-        middle[GAIN], sd[GAIN] = math.log(2 * math.pi * corner.hz), corner.u_hz / corner.hz
-    middle[SATURATION], sd[SATURATION] = _SATURATION, _SATURATION_U
-    crosstalk = CROSSTALK_LIMIT if math.isnan(known.crosstalk_limit) else known.crosstalk_limit
-    slowest = float(some.angular.min()) / (2 * np.pi)
-    bandwidth = lowest_bandwidth(slowest) if math.isnan(known.bandwidth_hz) else known.bandwidth_hz
-    stated = LEVEL_LIMIT / _RECTANGLE if math.isnan(known.level_u) else known.level_u
-    sd[LEVEL] = _NO_LEVEL_U if modulation.flags & BeamsFlag.NO_LEVEL else stated
-    sd[CROSSTALK] = sd[OTHER_BEAM] = crosstalk / _RECTANGLE
-    if sums[:, 0].any(axis=1).all():
-        levels = over.max(axis=1) / over[::-1].max(axis=1)  # of the other beam, over the beam's own
-        sd[OTHER_BEAM] *= levels
-    sd[DELAY] = 1 / (2 * np.pi * bandwidth) / _RECTANGLE
-    sd[CORNER] = CORNER_LIMIT * known.ac_corner_hz / _RECTANGLE
-    middle[PEDESTAL], sd[PEDESTAL] = _PEDESTAL, _PEDESTAL_U
-    scale_u = math.hypot(SCALE_FACTOR_LIMIT, TABLE_RATE_LIMIT) / _RECTANGLE
-    there = bool(rate_weight.any())
-    sd[SCALE] = (scale_u if math.isnan(known.scale_u) else known.scale_u) * there
-    sd[BIAS] = _BIAS * there
-    weight = np.where(sums[:, 0] > 0, np.sqrt(sums[:, 0]), 0.0) / wider
-    for beam in range(2):
-        if not weight[beam].any():
-            for part in (LEVEL, CROSSTALK, OTHER_BEAM, DELAY):
-                sd[part.start + beam] = 0.0
-    return _Data(points, np.asarray(mean.T), weight.T, over.T, rate_weight, middle, sd, known.ac_corner_hz)
+        own = TABLE_RATE_LIMIT / _RECTANGLE if math.isnan(known.rate_u) else known.rate_u
+        by_azimuth = np.zeros(len(weight))
+        for rows, data, _ in records.data():
+            np.maximum.at(by_azimuth, points.places[data], records.rate_u[rows])
+        rate_weight = 1 / np.hypot(by_azimuth, own * np.abs(some.rate))
+    mean, sd = _beforehand(some, over, known, receiver)
+    if modulation.flags & BeamsFlag.NO_LEVEL:
+        sd[LEVEL] = _NO_LEVEL_U
+    for part in (LEVEL, CROSSTALK, OTHER_BEAM, DELAY):
+        sd[part] *= weight.any(axis=0)
+    sd[[SCALE, BIAS]] *= rate_weight.any()
+    beats = np.zeros((2, len(weight)))
+    for _, block in records.blocks():
+        beats += points.places.sums(block, np.ones(block.rate.shape), block.beat_frequency_u**2)
+    beat_u = np.sqrt(beats[1]) / beats[0]
+    return _Data(points, swing, weight, over, rate_weight, beat_u, mean, sd, known.ac_corner_hz)
 
 
 _NO_LEVEL_U = 3.0
+
+
+def _swings(points: Points, modulation: BeamModulation) -> tuple[Complexes, Floats, Floats]:
+    """Mean modulation of the records of each point, the reciprocal of its u, and beat over level, (P, 2)."""
+    records, places, count = points.records, points.places, len(points.places)
+    sums = np.zeros((2, 4, count))
+    for rows, data, _ in records.data():
+        some = modulation[rows]
+        for beam in range(2):
+            weight = np.nan_to_num(some.modulation_u[:, beam] ** -2.0)
+            value, over = np.nan_to_num(some.modulation[:, beam]), np.nan_to_num(some.beat_over_level[:, beam])
+            columns = (np.asarray(weight * one, np.float64) for one in (value.real, value.imag, over))
+            sums[beam] += places.sums(data, weight, *columns)
+    total = np.maximum(sums[:, 0], 1e-300)
+    mean = (sums[:, 1] + 1j * sums[:, 2]) / total
+    # records of one setting that scatter by more than their noise
+    spread, freedom = 0.0, -2 * int(np.count_nonzero(sums[:, 0]))
+    for rows, data, _ in records.data():
+        some = modulation[rows]
+        left = np.abs(some.modulation - mean[:, places[data]].T) / some.modulation_u
+        spread, freedom = spread + float(np.nansum(left**2)), freedom + 2 * int(np.isfinite(left).sum())
+    unlikely = freedom > 0 and float(scipy.special.chdtrc(freedom, spread)) < UNLIKELY
+    weight = np.sqrt(sums[:, 0]) / (math.sqrt(spread / freedom) if unlikely else 1.0)
+    return np.asarray(mean.T), weight.T, (sums[:, 3] / total).T
+
+
+def _beforehand(
+    some: RatioData, over: Floats, known: BeamsKnowledge, receiver: ReceiverKnowledge
+) -> tuple[Floats, Floats]:
+    """Mean and standard deviation of every parameter before there are data, (N_PARAMETERS,) each."""
+    slowest, corner = float(some.angular.min()) / (2 * np.pi), receiver.gain_corner
+    before = receiver.prior(slowest).seen_by(some)
+    mean, sd = np.zeros(N_PARAMETERS), np.full(N_PARAMETERS, np.inf)
+    mine = [DISTORTION, LAG, THIRD_ORDER, BETWEEN, TURN, BEND, DRIFT]
+    mean[mine], sd[mine] = before.mean[[2, *range(4, 10)]], before.sd[[2, *range(4, 10)]]
+    sd[LAG] = math.sqrt(sd[LAG] * _RECTANGLE) / _RECTANGLE  # that is of the square of a time
+    mean[GAIN], sd[GAIN] = _GAIN, _GAIN_U
+    if corner.u_hz > 0:
+        mean[GAIN], sd[GAIN] = math.log(2 * math.pi * corner.hz), corner.u_hz / corner.hz
+    mean[SATURATION], sd[SATURATION] = _SATURATION, _SATURATION_U
+    mean[PEDESTAL], sd[PEDESTAL] = _PEDESTAL, _PEDESTAL_U
+    sd[LEVEL] = LEVEL_LIMIT / _RECTANGLE if math.isnan(known.level_u) else known.level_u
+    crosstalk = CROSSTALK_LIMIT if math.isnan(known.crosstalk_limit) else known.crosstalk_limit
+    sd[CROSSTALK] = sd[OTHER_BEAM] = crosstalk / _RECTANGLE
+    largest = over.max(axis=0)
+    if largest.all():
+        sd[OTHER_BEAM] *= largest / largest[::-1]  # it is a share of volts, and the levels differ
+    bandwidth = lowest_bandwidth(slowest) if math.isnan(known.bandwidth_hz) else known.bandwidth_hz
+    sd[DELAY] = 1 / (2 * np.pi * bandwidth) / _RECTANGLE
+    sd[CORNER] = CORNER_LIMIT * known.ac_corner_hz / _RECTANGLE
+    sd[SCALE], sd[BIAS] = known.scale_u, _BIAS
+    if math.isnan(known.scale_u):
+        sd[SCALE] = math.hypot(SCALE_FACTOR_LIMIT, TABLE_RATE_LIMIT) / _RECTANGLE
+    return mean, sd
+
+
+Answer = tuple[float, float, float, float]  # value, standard uncertainty, ends of the 95 % interval
 
 
 @dataclass(frozen=True)
@@ -625,6 +684,7 @@ class _Solution:
     covariance: Floats  # (N_PARAMETERS, N_PARAMETERS), 0 where held
     chi_square: float
     log_volume: float
+    values: int  # residuals that there are
 
     def apart(self, other: _Solution) -> Floats:
         """Differences of both backscatters from another's: of logarithms, and rad."""
@@ -632,38 +692,21 @@ class _Solution:
         difference[1::2] = np.angle(np.exp(1j * difference[1::2]))
         return difference
 
-    def of(self, name: str, widen: float) -> tuple[float, float]:
-        """Size of a backscatter, phase of the sum or of the coupling, and its standard uncertainty."""
-
-        def value(parameters: Floats) -> float:
-            first, second = complex(_backscatter(parameters[FIRST])), complex(_backscatter(parameters[SECOND]))
-            angles = {"sum": second * np.conj(first) * about, "phase": (first + second) * about}
-            if name in angles:
-                return float(np.angle(angles[name]))
-            return abs(first if name == "first" else second)
-
-        about = complex(1.0)  # so that no angle lies beside its jump
-        turned = value(self.parameters) if name in ("sum", "phase") else 0.0
-        about = complex(np.exp(-1j * turned))
-        slope, here = np.zeros(N_PARAMETERS), value(self.parameters)
-        for place in range(4):
-            moved = self.parameters.copy()
-            moved[place] += _SMALL
-            slope[place] = (value(moved) - here) / _SMALL
-        return here + turned, math.sqrt(max(float(slope @ self.covariance @ slope), 0.0) * widen)
-
-    def size(self, widen: float) -> tuple[float, float, float, float]:
-        """|C| freed of the bias that noise gives to the size of a complex number, its u and 95 % interval, rad/s."""
+    def coupling(self, widen: float) -> tuple[Answer, tuple[float, float]]:
+        """|C| freed of the bias that noise gives to its size, rad/s, and the phase of C with its u."""
         first, second = (complex(_backscatter(self.parameters[part])) for part in (FIRST, SECOND))
-        both = np.array([[first.real, -first.imag, second.real, -second.imag], [first.imag, first.real, second.imag, second.real]])
-        x, y = (first + second).real, (first + second).imag
+        rows = (
+            [[one.real, -one.imag] for one in (first, second)],
+            [[one.imag, one.real] for one in (first, second)],
+        )
+        both, whole = np.array(rows).reshape(2, 4), first + second
         spread = both @ self.covariance[:4, :4] @ both.T * widen
-        size = max(math.hypot(x, y), 1e-300)
-        along, across = np.array([x, y]) / size, np.array([-y, x]) / size
-        u = math.sqrt(max(float(along @ spread @ along), 1e-300))
+        size = max(abs(whole), 1e-300)
+        along, across = np.array([whole.real, whole.imag]) / size, np.array([-whole.imag, whole.real]) / size
+        u, across_u = (math.sqrt(max(float(way @ spread @ way), 1e-300)) for way in (along, across))
         low, high = size_interval(size / u)
-        freed = math.sqrt(max(size**2 - float(across @ spread @ across), 0.0))
-        return freed, u, float(low) * u, float(high) * u
+        freed = math.sqrt(max(size**2 - across_u**2, 0.0))
+        return (freed, u, float(low) * u, float(high) * u), (float(np.angle(whole)), across_u / size)
 
     def push(self) -> Floats:
         """Share by which each beat is faster than the lock-in equation says, (P,)."""
@@ -673,12 +716,15 @@ class _Solution:
         return np.asarray(self.model.data.points.points.angular / by_lock_in - 1)
 
     def corrected(self, widen: float) -> tuple[Floats, Floats]:
-        """Beat that each point would have without backscatter, Hz, signed, and its u: what the fit does not know."""
+        """Beat that each point would have without backscatter, Hz, signed, and its u."""
         sagnac = self.model.predicted(self.parameters[np.newaxis])[3][0]
         moved = self.parameters + _steps(self.model.data)
         slopes = (self.model.predicted(moved)[3] - sagnac) / np.diagonal(moved - self.parameters)[:, np.newaxis]
         variance = np.einsum("ip,ij,jp->p", slopes, self.covariance, slopes) * widen
-        return sagnac / (2 * np.pi), np.sqrt(np.maximum(variance, 0.0)) / (2 * np.pi)
+        # what shifts the beat shifts it as much
+        return sagnac / (2 * np.pi), np.hypot(
+            np.sqrt(np.maximum(variance, 0.0)) / (2 * np.pi), self.model.data.beat_u
+        )
 
 
 def _steps(data: _Data) -> Floats:
@@ -699,7 +745,7 @@ def _solutions(data: _Data, starts: Floats | None = None) -> list[_Solution]:
         raise NoFit("no two-mode laser fits the records of beat and beams")
     found: list[_Solution] = []
     for start, cost in looked:
-        if cost > looked[0][1] + 1e3 and found:
+        if found and cost > looked[0][1] + 1e3 and found[0].chi_square < _GOOD * found[0].values:
             break
         end = _search(model, start, _EVALUATIONS)
         if end is None:
@@ -709,6 +755,10 @@ def _solutions(data: _Data, starts: Floats | None = None) -> list[_Solution]:
         if not any(np.all(np.abs(one.apart(other)) < u) for other in found):
             found.append(one)
     found.sort(key=lambda one: one.chi_square)
+    if found[0].chi_square > _HOPELESS * found[0].values:
+        raise NoFit(
+            "no two-mode laser is near what beat and beams show: is their backscatter too strong for its gain?"
+        )
     return [one for one in found if one.chi_square < found[0].chi_square + POSSIBLE]
 
 
@@ -732,14 +782,7 @@ def _search(model: _Model, start: Floats, evaluations: int) -> tuple[Floats, flo
     if residual(start[free])[0] == _FAILED:
         return None
     made = least_squares(
-        residual,
-        start[free],
-        jac=slope,
-        x_scale="jac",
-        max_nfev=evaluations,
-        ftol=1e-6,
-        xtol=None,
-        gtol=None,
+        residual, start[free], jac=slope, x_scale="jac", max_nfev=evaluations, ftol=1e-6, xtol=None, gtol=None
     )
     return whole(made.x), 2 * float(made.cost)
 
@@ -761,13 +804,16 @@ def _solution(model: _Model, parameters: Floats) -> _Solution:
     covariance = np.zeros((N_PARAMETERS, N_PARAMETERS))
     covariance[np.ix_(free, free)] = (vectors / eigenvalues) @ vectors.T / np.outer(size, size)
     volume = -0.5 * float(np.sum(np.log(eigenvalues))) - float(np.sum(np.log(size)))
-    return _Solution(model, parameters, covariance, float(residual @ residual), volume)
+    return _Solution(model, parameters, covariance, float(residual @ residual), volume, residual.size)
 
 
 def _starts(data: _Data) -> list[Floats]:
-    """Starts by equation (1) and that of the harmonics, linear in C, D and what is added, at gains that suit it."""
+    """Starts by equation (1) and that of the harmonics, linear in C and D, at gains that suit them."""
     gains = np.exp(np.mean(np.log(data.points.points.angular))) / np.geomspace(0.01, 20.0, 24)
-    tried = [_linear(data, float(gain)) for gain in gains]
+    unknown = float(np.max(data.sd[LEVEL])) > 1.0
+    levels = np.linspace(-4.0, 4.0, 17) if unknown else np.zeros(1)
+    every = [[_linear(data, float(gain), float(level)) for level in levels] for gain in gains]
+    tried = [min(some, key=lambda one: one[1]) for some in every]
     costs = np.array([cost for _, cost in tried])
     edged = np.pad(costs, 1, constant_values=np.inf)
     lowest = np.flatnonzero((costs <= edged[:-2]) & (costs <= edged[2:]))
@@ -776,8 +822,8 @@ def _starts(data: _Data) -> list[Floats]:
     return [tried[place][0] for place in dict.fromkeys(beside)]
 
 
-def _linear(data: _Data, gain: float) -> tuple[Floats, float]:
-    """Best parameters of the linear equations at a gain, and what they leave."""
+def _linear(data: _Data, gain: float, level: float) -> tuple[Floats, float]:
+    """Best parameters of the linear equations at a gain and a level, and what they leave."""
     some = data.points.points
     w, positive, gd = some.angular, some.rate > 0, gain * (1 - _SATURATION) / (1 + _SATURATION)
     columns = []
@@ -788,11 +834,13 @@ def _linear(data: _Data, gain: float) -> tuple[Floats, float]:
         columns.append(np.stack([by_sum + by_difference, by_sum - by_difference, harmonic]))
     beside = np.stack([*data.over.T, some.amplitude]).astype(np.complex128)
     columns += [np.where(np.arange(3)[:, np.newaxis] == place, beside, 0.0) for place in range(3)]
-    target = np.stack([*data.swing.T, some.ratio])
+    target = np.stack([*(data.swing.T * math.exp(-level)), some.ratio])
     # they hold to first order in the ratio only
     rough = 0.01 + 3 * np.abs(some.ratio) ** 2 + 0.3 * np.abs(some.ratio)
     noise = np.sqrt(np.trace(data.points.covariance, axis1=-2, axis2=-1) / 2)
-    us = np.hypot(np.stack([*(1 / np.maximum(data.swing_weight.T, 1e-9)), noise]), rough * np.abs(target))
+    us = np.hypot(
+        np.stack([*(math.exp(-level) / np.maximum(data.swing_weight.T, 1e-9)), noise]), rough * np.abs(target)
+    )
     rows = np.array([(one / us).ravel() for one in columns]).T
     known = np.diag([0.0] * 4 + [*(1 / np.maximum(data.sd[CROSSTALK], 1e-9)), 1 / min(data.sd[DISTORTION], 0.01)])
     system, aim = np.concatenate([rows.real, rows.imag, known]), (target / us).ravel()
@@ -803,10 +851,19 @@ def _linear(data: _Data, gain: float) -> tuple[Floats, float]:
     for part, one in ((FIRST, (coupling - other) / 2), (SECOND, (coupling + other) / 2)):
         start[part] = math.log(max(abs(one), 1e-3 * abs(coupling))), np.angle(one)
     start[GAIN], start[CROSSTALK], start[DISTORTION] = math.log(gain), values[4:6], values[6]
+    start[LEVEL] = level * (data.sd[LEVEL] > 0)
     return start, float(np.sum((system @ values - aims) ** 2))
 
 
-_FREED_U = 0.03
+def _agreement(routes: Sequence[Route]) -> tuple[float, float]:
+    """Chi-square between the routes, and its probability; nan for a single one."""
+    weights = np.array([1 / max(route.lock_in_rate_u, 1e-300) ** 2 for route in routes])
+    values = np.array([route.lock_in_rate for route in routes])
+    apart = float(np.sum((values - np.average(values, weights=weights)) ** 2 * weights))
+    return apart, float(scipy.special.chdtrc(len(routes) - 1, apart)) if len(routes) > 1 else math.nan
+
+
+_FREED_U = 0.03  # of the push that is taken out of the beats, relative
 
 
 def _routes(fit: RatesFit, data: _Data, best: _Solution) -> tuple[Route, ...]:
@@ -817,7 +874,7 @@ def _routes(fit: RatesFit, data: _Data, best: _Solution) -> tuple[Route, ...]:
     by_beams = replace(data, harmonics=False, rate_weight=np.zeros_like(data.rate_weight))
     try:
         one = _solutions(by_beams, best.parameters[np.newaxis])[0]
-        routes.append(Route("beams", *(each / scale for each in one.size(1.0))))
+        routes.append(Route("beams", *(each / scale for each in one.coupling(1.0)[0])))
     except NoFit:
         pass
     if data.rate_weight.any():

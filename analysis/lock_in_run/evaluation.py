@@ -205,9 +205,7 @@ class SeveralRates:
         return min(self.groups, key=relative_u)
 
 
-def evaluate_rates(
-    run: RunArrays, each: LockInEstimate, axis: AxisRates, knowledge: RunKnowledge
-) -> SeveralRates:
+def evaluate_rates(run: RunArrays, each: LockInEstimate, axis: AxisRates, knowledge: RunKnowledge) -> SeveralRates:
     """Combine the records at each rate, and fit all of them."""
     slow, receiver = run.slow, ReceiverKnowledge.of(knowledge.bench)
     if each.rate_given or each.relation != "exact":

@@ -1,4 +1,4 @@
-"""What a photodiode and its amplifier make of the beat, or of a single beam: phase, distortion, bandwidth, coupling.
+"""What a photodiode and its amplifier make of beat or single beam: phase, distortion, bandwidth, coupling.
 
 At a constant rate the detector's signal is a periodic function of the beat phase. Behind a filter its harmonic n
 is multiplied by the response at n f. The rate changes little in one period, so the harmonics are worked out on a

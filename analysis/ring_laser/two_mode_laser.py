@@ -232,10 +232,8 @@ def periodic_states(
     return values, sagnac, found & (size < CONVERGED)
 
 
-def _slopes(
-    lasers: Floats, sagnac: Floats, psi: Floats, values: Floats
-) -> tuple[Floats, Floats, Floats, Floats]:
-    """d psi/dt (B, n) and d ln I/dt (B, 2, n); of both, the derivatives (B, 2, n), (B, 2, 2, n) by the two ln I."""
+def _slopes(lasers: Floats, sagnac: Floats, psi: Floats, values: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+    """d psi/dt (B, n), d ln I/dt (B, 2, n); of both, the derivatives (B, 2, n), (B, 2, 2, n) by the two ln I."""
     a1, a2, half, xi, gain_rate = lasers.T[..., np.newaxis]
     gain = gain_rate / (1 + xi)
     first, second = np.exp(values[:, 0]), np.exp(values[:, 1])
@@ -252,7 +250,7 @@ def _slopes(
 
 
 def beat_phase(psi: Floats, slowness: Floats) -> tuple[Floats, Floats]:
-    """Phase of the fundamental (..., n) at even steps of one turn of psi, 0 at psi = 0, and dt/dpsi over its mean."""
+    """Phase of the fundamental (..., n) at even steps of psi, from 0 on, and dt/dpsi over its mean."""
     n = psi.shape[-1]
     weight = slowness / np.mean(slowness, axis=-1, keepdims=True)
     ripple = np.fft.rfft(weight)

@@ -7,7 +7,8 @@ import numpy as np
 from analysis import FATAL, Flag, FrequencyFit, QuadratureFlag, RatesFit, RatesFlag, describe_flag, flag_names
 from analysis.budget import Budget
 from analysis.frequency_method import FrequencyFlag
-from analysis.lock_in_run import ScaleFactorCheck, TableCheck
+from analysis.lock_in_run import ScaleFactorCheck, SeveralRates, TableCheck
+from analysis.single_beams import BeamsFlag
 from station.lock_in.evaluate import LockInEvaluation
 from station.results.numbers import LOCK_IN_RATE
 from station.results.result import with_uncertainty
@@ -114,6 +115,41 @@ def quadrature_sentences(evaluation: LockInEvaluation) -> list[str]:
     )
     third = f"Image of the third harmonic that is left: {found.images[2]:.2g} of the first."
     return [first, second, third, *(_QUADRATURE_FLAGS[QuadratureFlag[name.upper()]] for name in found.flags)]
+
+
+_BEAMS_FLAGS = {
+    BeamsFlag.CLIPPED: "A beam leaves the screen in most records and is not used: take a coarser scale for it.",
+    BeamsFlag.DARK: "A beam's channel shows no swing at the beat and is not used: look at photodiode and scale.",
+    BeamsFlag.SHOWS_THE_BEAT: "A beam's channel swings like the beat and is not used: are the cables exchanged?",
+    BeamsFlag.NO_LEVEL: "The DC level of the beams is not known, and only the phase of their swing counts: "
+    "state beams.level_v.",
+    BeamsFlag.RECORDS_LEFT_OUT: "In some records the rate moves too much for the swing of the beams: they count "
+    "by their beat alone.",
+    BeamsFlag.MISFIT: "Beat and beams do not fit one laser within their noise, and the uncertainty is enlarged: "
+    "look for a slow or AC-coupled channel, and state [beams].",
+    BeamsFlag.ROUTES_DIFFER: "The routes differ: harmonics alone take the backscatter of both beams to be in "
+    "phase, and the frequencies take the rates to be right. The fit of all together does not.",
+    BeamsFlag.SEVERAL_SOLUTIONS: "Another lock-in rate explains beat and beams as well, and the interval holds "
+    "all: take one more rate.",
+}
+
+
+def beams_sentences(several: SeveralRates) -> list[str]:
+    """Say what the single beams show; empty where none were recorded."""
+    fit = several.beams
+    if fit is None:
+        return [f"The single beams were not used: {several.beams_problem}."] if several.beams_problem else []
+    turn = 2 * math.pi
+    first = with_uncertainty(fit.backscatter_1 / turn, fit.backscatter_1_u / turn, "Hz")
+    second = with_uncertainty(fit.backscatter_2 / turn, fit.backscatter_2_u / turn, "Hz")
+    turned = with_uncertainty(math.degrees(fit.phase_sum), math.degrees(fit.phase_sum_u))
+    low, high = (f"{end / turn:.4g}" for end in (fit.gain_rate_low_95, fit.gain_rate_high_95))
+    said = [
+        f"Beat and single beams together: backscatter {first} and {second}, the sum of its phases {turned}°; the "
+        f"gain corner of the laser lies between {low} and {high} Hz.",
+        f"The difference of the beams makes beats faster by up to {100 * float(np.max(fit.push)):.2g} %.",
+    ]
+    return [*said, *(text for flag, text in _BEAMS_FLAGS.items() if flag & fit.flags)]
 
 
 def _level_words(distortion: float, u: float) -> str:

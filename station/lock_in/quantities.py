@@ -14,7 +14,9 @@ import numpy as np
 from analysis import RatesFit, RatesFlag, flag_names
 from analysis.frequency_method import FrequencyFlag
 from analysis.lock_in_run import RateGroup
+from analysis.single_beams import BeamsFlag
 from station.lock_in.evaluate import LockInEvaluation, describe_method
+from station.lock_in.messages import beams_sentences
 from station.results import numbers
 from station.results.numbers import (
     AMPLITUDE,
@@ -118,6 +120,28 @@ QUADRATURES = (
     Quantity("sine_alone", "dps", doc="lock-in rate by the sine channel"),
     Quantity("cosine_alone", "dps"),
 )
+_TURN = 2 * math.pi
+BEAMS = (
+    *_FIT,
+    Quantity("backscatter_1", "hz", "backscatter_1", u=True, scale=1 / _TURN, doc="of the first beam"),
+    Quantity("backscatter_2", "hz", "backscatter_2", u=True, scale=1 / _TURN),
+    Quantity("backscatter_phase_sum", "rad", "phase_sum", u=True, doc="of both beams: 0 where they only lock"),
+    BACKSCATTER_PHASE,
+    Quantity(
+        "gain_corner", "hz", "gain_rate", interval=("gain_rate_low_95", "gain_rate_high_95"), scale=1 / _TURN,
+        doc="of the laser",
+    ),
+    Quantity("distortion", u=True, doc="second harmonic of the receiver over the fundamental"),
+    Quantity("routes_chi_square", doc="between the routes"),
+    Quantity("routes_p_value"),
+)  # fmt: skip
+ROUTE = (Quantity("lock_in_rate", "dps", u=True, interval=True, doc="by this route alone"),)
+OF_SETTING = (
+    Quantity("input_rate", "dps", "rate"),
+    replace(BEAT_FREQUENCY, u=False),
+    Quantity("corrected_frequency", "hz", "corrected_frequency", u=True, doc="the beat without backscatter"),
+    Quantity("push", doc="of the beat by the difference of the beams, relative"),
+)
 _SEVERAL = "several_rates"
 
 QUANTITIES = (
@@ -131,6 +155,9 @@ QUANTITIES = (
     *(QuantityGroup(ALTERNATIVE, f"{_SEVERAL}.{by}.alternatives") for by in ("by_beat", "by_table")),
     *(QuantityGroup(LEFT_OUT, f"{_SEVERAL}.{by}.left_out") for by in ("by_beat", "by_table")),
     QuantityGroup(QUADRATURES, "quadratures"),
+    QuantityGroup(BEAMS, "beams"),
+    QuantityGroup(ROUTE, "routes", "route"),
+    QuantityGroup(OF_SETTING, "beams.settings"),
 )
 
 _AT_ONCE = 2000  # records whose documents are made together
@@ -169,6 +196,13 @@ def result_document(found: LockInEvaluation) -> dict[str, Any]:
             "problem": several.problem or None,
             "rates_without_beat": found.without_beat,
         }
+    if several is not None and (beams := several.beams) is not None:
+        made["beams"] = document(beams, BEAMS) | {
+            "settings": rows(beams, OF_SETTING),
+            "flags": [str(flag.name).lower() for flag in BeamsFlag if flag & beams.flags],
+            "sentences": beams_sentences(several),
+        }
+        made["routes"] = [{"route": one.name, **document(one, ROUTE)} for one in beams.routes]
     if (pairs := found.quadratures) is not None:
         plain = {"records": pairs.records, "sense": pairs.sense, "flags": pairs.flags}
         made["quadratures"] = document(pairs, QUADRATURES) | plain

@@ -14,10 +14,24 @@ from analysis.budget import Budget
 from analysis.lock_in_run import RateGroup, SeveralRates
 from analysis.lockin_equation import beat_frequency, lock_in_from_rate
 from analysis.several_rates import RatioData, predicted_ratio
+from analysis.single_beams import BeamsFit
 from instrument import Waveform
 from station.lock_in.evaluate import LockInEvaluation
-from station.lock_in.messages import describe_frequencies, quadrature_sentences, rates_sentences, table_sentences
-from station.lock_in.result import BUDGET_COLUMNS, budget_rows, budget_sentences, rates_table, records_table
+from station.lock_in.messages import (
+    beams_sentences,
+    describe_frequencies,
+    quadrature_sentences,
+    rates_sentences,
+    table_sentences,
+)
+from station.lock_in.result import (
+    BUDGET_COLUMNS,
+    budget_rows,
+    budget_sentences,
+    rates_table,
+    records_table,
+    routes_table,
+)
 from station.report.figure import (
     ACCENT,
     HALF,
@@ -46,6 +60,8 @@ def sections(found: LockInEvaluation, result: Result) -> list[Section]:
     made = []
     if found.several is not None:
         made.append(_several_rates(found, found.several))
+        if (beams := found.several.beams) is not None:
+            made.append(_single_beams(found.several, beams))
         made += _checks(found.several)
     elif found.usable:
         caption = "Lock-in rate of every record with its standard uncertainty, the combined value, and the beat."
@@ -84,6 +100,16 @@ def _several_rates(found: LockInEvaluation, several: SeveralRates) -> Section:
         "laser. The lines are what the fit expects at each rate.",
     )
     return Section("Several rates", figures=(figure,), sentences=sentences, table=table)
+
+
+def _single_beams(several: SeveralRates, beams: BeamsFit) -> Section:
+    caption = (
+        "Swing of both beams with the beat, AC over DC, and its phase against the beat. Symbols: as recorded; "
+        "lines: what one laser does that fits beat and beams."
+    )
+    figure = PlacedFigure(beams_svg(beams), caption)
+    said = tuple(beams_sentences(several))
+    return Section("Single beams", figures=(figure,), sentences=said, table=routes_table(beams))
 
 
 def _checks(several: SeveralRates) -> list[Section]:
@@ -395,6 +421,33 @@ def _seen_at(rates: Array, fit: RatesFit, scale_factor: float) -> Array:
         reference="rate",
     )
     return lock_in_from_rate(np.abs(predicted_ratio(fit.each.parameters, data))[0], rates)
+
+
+def beams_svg(beams: BeamsFit) -> str:
+    """Draw how far each beam swings with the beat at each rate, and with which phase, as an SVG element."""
+
+    def draw(figure: Figure) -> None:
+        size, phase = figure.subplots(1, 2)
+        for sense, line, name in ((1, "-", "positive sense"), (-1, "--", "negative sense")):
+            inside = np.flatnonzero(np.sign(beams.rate) == sense)
+            inside = inside[np.argsort(np.abs(beams.rate[inside]))]
+            for beam, colour in ((0, ACCENT), (1, SECOND)):
+                seen, fitted = beams.modulation[inside, beam], beams.fitted[inside, beam]
+                at, label = np.abs(beams.rate[inside]), f"beam {beam + 1}, {name}"
+                if not np.isfinite(seen).any():
+                    continue
+                marker = "o" if sense > 0 else "s"
+                size.plot(at, 100 * np.abs(fitted), line, color=colour, linewidth=1.0)
+                size.plot(at, 100 * np.abs(seen), marker, ms=4.5, color=colour, mfc="none", label=label)
+                phase.plot(at, np.degrees(np.angle(fitted)), line, color=colour, linewidth=1.0)
+                phase.plot(at, np.degrees(np.angle(seen)), marker, ms=4.5, color=colour, mfc="none")
+        for axes in (size, phase):
+            _rate_axis(axes, beams.rate)
+        size.set(ylabel="AC over DC, %", ylim=(0, None))
+        phase.set(ylabel="phase, °")
+        legend_above(size, columns=2)
+
+    return svg_element("beams", WIDE, draw)
 
 
 def deviations_svg(fit: RatesFit) -> str:

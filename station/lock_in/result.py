@@ -8,9 +8,11 @@ import numpy as np
 from analysis import Flag, flag_names
 from analysis.budget import Budget
 from analysis.lock_in_run import SeveralRates
+from analysis.single_beams import BeamsFit
 from station.lock_in.evaluate import LockInEvaluation
 from station.lock_in.messages import (
     ALIAS,
+    beams_sentences,
     beat_over_table_words,
     by_table_words,
     describe_frequencies,
@@ -69,6 +71,7 @@ def result(found: LockInEvaluation, run: SavedRun | None = None, settings: Setti
         brief=_brief(found, moved_words),
         sentences=(
             *rates_sentences(found),
+            *([] if found.several is None else beams_sentences(found.several)),
             *table_sentences(found),
             *quadrature_sentences(found),
             *alias,
@@ -169,6 +172,9 @@ def _brief(found: LockInEvaluation, moved: str) -> Rows:
         checks.append(f"without harmonics {value}")
     if checks:
         rows.append(("checks", "; ".join(checks)))
+    if several is not None and (beams := several.beams or several.beams_problem):
+        fits = "DO NOT FIT the beat" if "misfit" in found.flags else "fit the beat, and settle its phase"
+        rows.append(("single beams", f"not used: {beams}" if isinstance(beams, str) else fits))
     total, combined = len(found.waveforms) + len(found.damaged), found.combined
     records = [f"{total - found.records_rejected} of {total} used"]
     if several is not None:
@@ -269,6 +275,16 @@ def records_table(found: LockInEvaluation, most: int) -> TextTable:
     if len(found.names) > most:
         rows.append((f"and {len(found.names) - most} more", "", "", "", "", ""))
     return TextTable(_RECORDS, tuple(rows))
+
+
+def routes_table(beams: BeamsFit) -> TextTable:
+    """Return the lock-in rate by each route, and by all together."""
+    together = ("all together", beams.lock_in_rate, beams.lock_in_rate_low_95, beams.lock_in_rate_high_95)
+    ways = (
+        (one.name, one.lock_in_rate, one.lock_in_rate_low_95, one.lock_in_rate_high_95) for one in beams.routes
+    )
+    rows = tuple((name, within(value, low, high, "deg/s")) for name, value, low, high in (*ways, together))
+    return TextTable(("route", "lock-in rate, 95 %, as the records show it"), rows)
 
 
 def fact_tables(found: LockInEvaluation, run: SavedRun, settings: Settings) -> list[FactTable]:

@@ -29,11 +29,11 @@ from station.lock_in.rate_plan import (
     saved_plan,
 )
 from station.lock_in.settings import Settings, TableSettings, check_scale_factor
+from station.results.result import with_prefix
 from station.ring_laser.bench import Beats, beats_at, beats_of_other_sense, open_for
 from station.ring_laser.records import Bench, acquisition_records, set_up, take_record
 from station.runs.acquisition import Acquisition
 from station.runs.progress import Progress
-from station.results.result import with_prefix
 from station.runs.store import RunWriter, SavedRecord
 from station.scope.autoset import KnobPositions, ScreenShape, find_beat, fit_channel
 

@@ -51,7 +51,7 @@ def acquisition_records(
     conditions: Mapping[str, object],
     beams: Sequence[str] = (),
 ) -> list[NewRecord]:
-    """Return the records of one acquisition to be saved; a second channel is the quadrature of the first, or a beam."""
+    """Return the records of one acquisition to be saved; further channels are the quadrature, or beams."""
     made: list[NewRecord] = []
     for wave, channel in zip(waveforms, channels, strict=False):
         kind, name = ("quadrature", f"{key}, {channel}") if made else (purpose, key)

@@ -1,0 +1,254 @@
+"""Beat and single beams of lasers that are integrated in time, by equations of the fields."""
+
+from dataclasses import dataclass, replace
+from functools import cache
+
+import numpy as np
+import pytest
+from laser_fields import integrated_fields
+
+from analysis import estimate_lock_in, fit_rates
+from analysis.arrays import NoFit
+from analysis.harmonics import fit_harmonics
+from analysis.ring_laser import TwoModeLaser
+from analysis.single_beams import BeamModulation, BeamsFlag, BeamsKnowledge, beam_modulation, fit_beams
+
+K, WL, SAMPLES, PERIODS = 2000.0, 0.01, 2500, 20
+LEVELS = (1.3, 0.7)
+BOTH = (0.03, 0.06, 0.15, 0.3, -0.3, -0.15, -0.06, -0.03)
+
+
+@dataclass(frozen=True)
+class Bench:
+    """What stands behind the laser: readout, contrast, distortion, crosstalk and the scope."""
+
+    laser: TwoModeLaser
+    readout: float = 0.9
+    pedestal: float = 1.2
+    curved: float = 0.003
+    crosstalk: tuple[float, float] = (0.004, -0.006)
+    noise: float = 0.6  # of a level, ninety of which the signal reaches
+
+    def channels(self, rate: float) -> tuple[np.ndarray, float]:
+        """One period of beat, beam 1 and beam 2 in volts (3, n), evenly in time, and the beat in Hz."""
+        volts, frequency = _period(self.laser, rate)
+        field, first, second = volts
+        beat = (field * np.exp(1j * self.readout)).imag + self.pedestal * (first.real + second.real) / 2
+        beat = beat - beat.mean()
+        beat = beat + 2 * self.curved * beat**2
+        beams = [dc * one.real for dc, one in zip(LEVELS, (first, second), strict=True)]
+        return np.array([beat, *(one + k * beat for one, k in zip(beams, self.crosstalk, strict=True))]), frequency
+
+    def records(self, rate: float, count: int, rng: np.random.Generator) -> tuple[np.ndarray, float]:
+        """Volts (3, count, SAMPLES) as an AC-coupled scope of eight bits gives them, and the sample interval."""
+        period, frequency = self.channels(rate)
+        lines = np.fft.rfft(period) * (2 / period.shape[1])
+        lines[:, 0] = 0
+        interval = PERIODS / frequency / SAMPLES
+        phase = np.arange(SAMPLES) * (PERIODS / SAMPLES) + rng.uniform(0, 1, (count, 1))
+        orders = np.flatnonzero(np.abs(lines).max(axis=0) > 1e-7)
+        volts = np.array([sum((line[n] * np.exp(2j * np.pi * n * phase)).real for n in orders) for line in lines])
+        level = np.abs(volts).max(axis=-1, keepdims=True) / 90
+        return np.round(volts / level + self.noise * rng.standard_normal(volts.shape)) * level, interval
+
+
+@cache
+def _period(laser: TwoModeLaser, rate: float, points: int = 512) -> tuple[np.ndarray, float]:
+    """Field of the fringes, I1 and I2 over one period (3, points), by time integration, and the beat in Hz."""
+    first = 2 * np.pi * K * np.sqrt(rate**2 - WL**2)
+    duration = 12.3 * 2 * np.pi / first
+    one, two = integrated_fields(laser, rate, duration, 3000)
+    signals = np.stack([one * np.conj(two), np.abs(one) ** 2, np.abs(two) ** 2])
+    real = np.concatenate([signals.real, signals.imag[:1]])
+    fit = fit_harmonics(real, duration / 3000, harmonics=24)
+    frequency = float(fit.frequency[0])
+    phases = np.arange(points) / points
+    waves = np.exp(2j * np.pi * np.outer(np.arange(1, 25), phases))
+    made = [offset + (line @ waves).real for offset, line in zip(fit.offset, fit.amplitudes, strict=True)]
+    return np.stack([made[0] + 1j * made[3], made[1], made[2]]), frequency
+
+
+def laser(
+    ratio: float = 1.4, phase_sum: float = 1.2, corner_over_beat: float = 2.0, saturation: float = 0.6
+) -> TwoModeLaser:
+    """A laser that locks at WL, its gain corner over the beat at three times that."""
+    together = abs(np.exp(-0.5j * phase_sum) + ratio * np.exp(0.5j * phase_sum))
+    first = float(2 * np.pi * K * WL / together)
+    corner = corner_over_beat * 2 * np.pi * K * WL * np.sqrt(8)
+    return TwoModeLaser(K, (first, ratio * first), phase_sum, corner, saturation)
+
+
+def measured(bench: Bench, rates=BOTH, *, seed=1, level_error=(0.006, -0.008), beams=(1, 2), count=3):
+    """The fit of the beat alone, and the modulation of the beams, of some records at each rate."""
+    rng, estimates, parts, axis = np.random.default_rng(seed), [], [], []
+    known = np.array(LEVELS) * np.exp(level_error)
+    for rate in rates:
+        volts, interval = bench.records(rate, count, rng)
+        each = estimate_lock_in(volts[0], interval, scale_factor=K)
+        level = [known[beam - 1] for beam in beams]
+        parts.append(
+            beam_modulation(
+                volts[0], volts[list(beams)], interval, beat_frequency=each.beat_frequency, level=level
+            )
+        )
+        estimates.append(each)
+        axis += [rate] * count
+    columns = [
+        np.concatenate([getattr(p, name) for p in parts])
+        for name in BeamModulation.__annotations__
+        if name != "flags"
+    ]
+    swing = BeamModulation(*columns, int(np.bitwise_or.reduce([p.flags for p in parts])))
+    return fit_rates(estimates, input_rate=axis, reference="beat", in_order=True), swing
+
+
+KNOWN = BeamsKnowledge(level_u=0.01, rate_u=20e-6)
+
+
+@pytest.mark.parametrize(
+    ("ratio", "phase_sum", "corner"),
+    [(1.4, 1.2, 2.0), (0.4, 2.2, 2.5), (1.0, 0.0, 30.0), (2.8, 0.4, 8.0), (0.7, 2.9, 4.0)],
+)
+def test_the_lock_in_rate_of_any_coupling(ratio, phase_sum, corner):
+    bench = Bench(laser(ratio, phase_sum, corner))
+    if phase_sum > 2.8:  # nearly no coupling that locks: farther above it the gyro turns as smoothly
+        alone, swing = measured(bench, tuple(3 * rate for rate in BOTH))
+    else:
+        alone, swing = measured(bench)
+    fit = fit_beams(alone, swing, KNOWN)
+    assert abs(fit.lock_in_rate - WL) < 3.3 * fit.lock_in_rate_u
+    assert fit.lock_in_rate_u < 1.02 * alone.lock_in_rate_u
+    assert not fit.flags & BeamsFlag.MISFIT
+    first, second = bench.laser.backscatter
+    assert abs(fit.backscatter_1 - first) < 3.5 * fit.backscatter_1_u
+    assert abs(fit.backscatter_2 - second) < 3.5 * fit.backscatter_2_u
+    turned = np.angle(np.exp(1j * (fit.phase_sum - phase_sum)))
+    assert abs(turned) < 3.5 * fit.phase_sum_u
+    assert fit.gain_rate_low_95 / 1.02 < bench.laser.gain_rate < 1.02 * fit.gain_rate_high_95
+    # the beat without backscatter is that of the rate
+    off = fit.corrected_frequency - K * fit.rate
+    assert np.all(np.abs(off) < 4 * fit.corrected_frequency_u + 1e-4)
+
+
+@pytest.mark.parametrize("rates", [(0.03, 0.3), (0.08, -0.08), (0.03, 0.1, 0.3)])
+def test_beams_settle_what_few_rates_leave_open(rates):
+    bench = Bench(laser(1.2, 0.6, 1.5))
+    alone, swing = measured(bench, rates)
+    fit = fit_beams(alone, swing, KNOWN)
+    width = fit.lock_in_rate_high_95 - fit.lock_in_rate_low_95
+    assert width < 0.5 * (alone.lock_in_rate_high_95 - alone.lock_in_rate_low_95)
+    assert abs(fit.lock_in_rate - WL) < 3.3 * fit.lock_in_rate_u
+
+
+def test_one_beam_is_worth_something_and_a_level_is_needed_for_its_size():
+    bench = Bench(laser())
+    alone, swing = measured(bench, beams=(2,))
+    one = fit_beams(alone, swing, KNOWN)
+    assert abs(one.lock_in_rate - WL) < 3.3 * one.lock_in_rate_u < 3.3 * alone.lock_in_rate_u
+    alone, swing = measured(bench, level_error=(np.nan, np.nan))
+    assert swing.flags & BeamsFlag.NO_LEVEL
+    unknown = fit_beams(alone, swing, KNOWN)
+    assert abs(unknown.lock_in_rate - WL) < 3.3 * unknown.lock_in_rate_u < 3.3 * alone.lock_in_rate_u
+    by_beams = next(route for route in unknown.routes if route.name == "beams")
+    assert by_beams.lock_in_rate_u > 3 * one.lock_in_rate_u
+
+
+def test_the_conservative_part_pushes_the_beat_up():
+    # equation (2.11) and its example: 120 degrees, w = g, xi = 0.6; Adler's equation says the other sign
+    each = float(np.pi * K * WL / np.cos(np.radians(60)))
+    rate = 0.4
+    fast = 2 * np.pi * K * rate
+    pushed = Bench(TwoModeLaser(K, (each, each), np.radians(120), fast, 0.6))
+    rates = tuple(sense * share * rate for sense in (1, -1) for share in (0.25, 1.0, 2.0))
+    alone, swing = measured(pushed, rates)
+    fit = fit_beams(alone, swing, KNOWN)
+    place = int(np.argmin(np.abs(fit.rate - rate)))
+    g_d = fast * 0.4 / 1.6
+    b_c, b_s = 2 * each * np.cos(np.radians(60)), 2 * each * np.sin(np.radians(60))
+    expected = -(b_c**2 - b_s**2 * fast**2 / (fast**2 + g_d**2)) / (2 * fast**2)
+    seen = fit.beat_frequency[place] / abs(fit.corrected_frequency[place]) - 1
+    assert expected > 0
+    assert seen == pytest.approx(expected, rel=0.02)
+    # what the difference of the beams does is told from what locks
+    assert fit.push[place] == pytest.approx(expected + b_c**2 / (2 * fast**2), rel=0.02)
+
+
+def test_routes_are_told_apart():
+    alone, swing = measured(Bench(laser(1.4, 1.2, 0.7)))
+    fit = fit_beams(alone, swing, KNOWN)
+    assert [route.name for route in fit.routes] == ["harmonics", "beams", "frequencies"]
+    for route in fit.routes[1:]:
+        assert abs(route.lock_in_rate - WL) < 3.5 * route.lock_in_rate_u
+        assert route.lock_in_rate_low_95 < route.lock_in_rate < route.lock_in_rate_high_95
+    assert fit.routes[0].lock_in_rate == alone.lock_in_rate
+
+
+def test_what_a_beam_may_not_be():
+    bench, rng = Bench(laser()), np.random.default_rng(3)
+    volts, interval = bench.records(0.1, 4, rng)
+    frequency = estimate_lock_in(volts[0], interval, scale_factor=K).beat_frequency
+    plain = {"beat_frequency": frequency, "level": LEVELS}
+
+    def flags(beams, **more):
+        return beam_modulation(volts[0], beams, interval, **{**plain, **more}).flags
+
+    assert flags(volts[1:]) == 0
+    clipped = np.zeros(volts[1:].shape, dtype=bool)
+    clipped[0, :3, 7] = True
+    assert flags(volts[1:], clipped=clipped) == BeamsFlag.CLIPPED
+    dark = volts[1:].copy()
+    dark[1] = rng.standard_normal(dark[1].shape) * 1e-3
+    assert flags(dark) == BeamsFlag.DARK
+    assert flags(volts[1:], level=(0.0, 0.7)) == BeamsFlag.DARK
+    assert flags(volts[[1, 0]]) == BeamsFlag.SHOWS_THE_BEAT
+    assert flags(volts[1:], level=(np.nan, 0.7)) == BeamsFlag.NO_LEVEL
+    with pytest.raises(ValueError, match="shape"):
+        flags(volts[1:, :, :-1])
+    with pytest.raises(ValueError, match="shape"):
+        flags(np.repeat(volts[1:], 2, axis=0))
+    # a beat whose rate runs away within the record has no line to compare with
+    chirp = np.sin(2 * np.pi * (50 * np.linspace(0, 1, SAMPLES) + 40 * np.linspace(0, 1, SAMPLES) ** 2))
+    moved = beam_modulation(chirp[np.newaxis], volts[1:, :1], 1 / SAMPLES, beat_frequency=[90.0], level=LEVELS)
+    assert moved.flags & BeamsFlag.RECORDS_LEFT_OUT
+    assert np.isnan(moved.modulation).all()
+    assert np.isnan(
+        beam_modulation(volts[0], volts[1:], interval, beat_frequency=[np.nan] * 4, level=LEVELS).modulation
+    ).all()
+
+
+def test_the_modulation_is_known_as_well_as_it_says():
+    bench, rng = Bench(laser(), crosstalk=(0.0, 0.0)), np.random.default_rng(5)
+    period, frequency = bench.channels(0.06)
+    lines = np.fft.rfft(period)
+    true = 2 * lines[1:, 1] / period.shape[1] / np.array(LEVELS) * np.abs(lines[0, 1]) / lines[0, 1]
+    volts, interval = bench.records(0.06, 200, rng)
+    each = estimate_lock_in(volts[0], interval, scale_factor=K)
+    made = beam_modulation(volts[0], volts[1:], interval, beat_frequency=each.beat_frequency, level=LEVELS)
+    assert each.beat_frequency == pytest.approx(frequency, rel=1e-4)
+    off = (made.modulation - true) / made.modulation_u
+    assert np.mean(np.abs(off) ** 2) == pytest.approx(2.0, rel=0.25)
+    # an AC coupling in front of the beams, taken out
+    ac = 1 / (1 - 10j / frequency)
+    shifted = volts[1:].copy()
+    times = np.arange(SAMPLES) * interval
+    fit = fit_harmonics(shifted, interval, harmonics=6)
+    for order in range(1, 7):
+        gain = 1 / (1 - 10j / (order * fit.frequency)) - 1
+        turns = np.exp(2j * np.pi * order * fit.frequency[..., np.newaxis] * times)
+        shifted += ((fit.amplitudes[..., order - 1] * gain)[..., np.newaxis] * turns).real
+    again = beam_modulation(
+        volts[0], shifted, interval, beat_frequency=each.beat_frequency, level=LEVELS, ac_corner_hz=10.0
+    )
+    assert abs(ac) < 0.999
+    assert np.max(np.abs(again.modulation - made.modulation)) < 2e-3 * np.max(np.abs(made.modulation))
+
+
+def test_no_beam_is_no_fit():
+    alone, swing = measured(Bench(laser()), (0.03, -0.03, 0.3, -0.3))
+    nothing = replace(
+        swing,
+        modulation=np.full_like(swing.modulation, np.nan),
+        modulation_u=np.full_like(swing.modulation_u, np.nan),
+    )
+    with pytest.raises(NoFit, match="single beam"):
+        fit_beams(alone, nothing, KNOWN)

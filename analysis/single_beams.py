@@ -280,7 +280,7 @@ def _backscatter(part: Floats) -> Complexes:
     return np.asarray(np.exp(part[..., 0] + 1j * part[..., 1]))
 
 
-class _Model:
+class _LaserModel:
     """The model of some data; what it found last is where the next search for periodic solutions begins."""
 
     def __init__(self, data: _Data) -> None:
@@ -679,7 +679,7 @@ Answer = tuple[float, float, float, float]  # value, standard uncertainty, ends 
 class _Solution:
     """One minimum of chi-square."""
 
-    model: _Model
+    model: _LaserModel
     parameters: Floats
     covariance: Floats  # (N_PARAMETERS, N_PARAMETERS), 0 where held
     chi_square: float
@@ -737,7 +737,7 @@ _SMALL = 1e-6
 
 def _solutions(data: _Data, starts: Floats | None = None) -> list[_Solution]:
     """The minima that are possible, the best first."""
-    model = _Model(data)
+    model = _LaserModel(data)
     tried = _starts(data) if starts is None else list(starts)
     ended = (_search(model, start, _TRIES) for start in tried)
     looked = sorted((one for one in ended if one is not None), key=lambda one: one[1])
@@ -762,7 +762,7 @@ def _solutions(data: _Data, starts: Floats | None = None) -> list[_Solution]:
     return [one for one in found if one.chi_square < found[0].chi_square + POSSIBLE]
 
 
-def _search(model: _Model, start: Floats, evaluations: int) -> tuple[Floats, float] | None:
+def _search(model: _LaserModel, start: Floats, evaluations: int) -> tuple[Floats, float] | None:
     """Least squares from a start: parameters and chi-square; ``None`` where no laser is near it."""
     from scipy.optimize import least_squares  # takes as long to import as all else
 
@@ -787,14 +787,14 @@ def _search(model: _Model, start: Floats, evaluations: int) -> tuple[Floats, flo
     return whole(made.x), 2 * float(made.cost)
 
 
-def _jacobian(model: _Model, parameters: Floats, free: Indices) -> Floats:
+def _jacobian(model: _LaserModel, parameters: Floats, free: Indices) -> Floats:
     """Derivatives of the residuals, (values, free)."""
     steps = _steps(model.data)[free]
     both = model.residual(np.concatenate([parameters + steps, parameters[np.newaxis]]))
     return np.asarray(((both[:-1] - both[-1]) / steps[np.arange(free.size), free][:, np.newaxis]).T)
 
 
-def _solution(model: _Model, parameters: Floats) -> _Solution:
+def _solution(model: _LaserModel, parameters: Floats) -> _Solution:
     free = np.flatnonzero(model.data.sd > 0)
     residual = model.residual(parameters[np.newaxis], keep=True)[0]
     slopes = _jacobian(model, parameters, free)

@@ -191,7 +191,8 @@ class SeveralRates:
     by_frequency: FrequencyFit | None = None
     problem: str = ""  # why there is no fit by the beat
     beams: BeamsFit | None = None  # the fit with the single beams, whose lock-in rate is then that of `by_beat`
-    beams_problem: str = ""  # why there is none although they were recorded
+    beams_problem: str = ""  # why there is none although they were recorded, and what was seen of them
+    beams_flags: int = 0
 
     @property
     def reference_group(self) -> RateGroup:
@@ -238,7 +239,8 @@ def evaluate_rates(run: RunArrays, each: LockInEstimate, axis: AxisRates, knowle
         except NoFit as reason:
             no_beams = str(reason)
     by_frequency = _frequencies(without_push(each, axis, beams), axis, rates_u)
-    return SeveralRates(tuple(groups), by_beat, by_table, by_frequency, problem, beams, no_beams)
+    seen = 0 if run.beams is None else run.beams.flags
+    return SeveralRates(tuple(groups), by_beat, by_table, by_frequency, problem, beams, no_beams, seen)
 
 
 def with_beams(fit: RatesFit, beams: BeamsFit) -> RatesFit:

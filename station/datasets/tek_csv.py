@@ -16,7 +16,7 @@ from station.runs.database import RunFacts
 from station.runs.store import SavedRecord
 from station.sources.batches import NO_RECORD, ExcludedRecord, Source
 
-_SECOND = "quadrature"  # of the same acquisition as the record before it
+_BESIDE = ("quadrature", "beam 1", "beam 2")  # of the same acquisition as the record before it
 _SIDE_FILE = "gyrolock.toml"
 
 
@@ -68,10 +68,10 @@ def _write(source: Source, folder: Path, done: Exported, taken: Counter[Path]) -
     if not records:
         done.left_out.append(ExcludedRecord(source.name, None, NO_RECORD))
     keys = _keys(source.facts)
-    purposes = dict.fromkeys(record.purpose for record in records if record.purpose != _SECOND)
+    purposes = dict.fromkeys(record.purpose for record in records if record.purpose not in _BESIDE)
     below = folder
     for record in records:
-        if record.purpose != _SECOND:  # which belongs to the acquisition before it
+        if record.purpose not in _BESIDE:  # which belongs to the acquisition before it
             below = folder / record.purpose if len(purposes) > 1 else folder
             taken[below] += 1
         number = max(taken[below] - 1, 0)

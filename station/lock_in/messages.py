@@ -138,7 +138,10 @@ def beams_sentences(several: SeveralRates) -> list[str]:
     """Say what the single beams show; empty where none were recorded."""
     fit = several.beams
     if fit is None:
-        return [f"The single beams were not used: {several.beams_problem}."] if several.beams_problem else []
+        seen = [text for flag, text in _BEAMS_FLAGS.items() if flag & several.beams_flags]
+        return (
+            [f"The single beams were not used: {several.beams_problem}.", *seen] if several.beams_problem else []
+        )
     turn = 2 * math.pi
     first = with_uncertainty(fit.backscatter_1 / turn, fit.backscatter_1_u / turn, "Hz")
     second = with_uncertainty(fit.backscatter_2 / turn, fit.backscatter_2_u / turn, "Hz")

@@ -222,7 +222,7 @@ def _check(settings: Settings, path: Path) -> Settings:
     taken = [settings.scope.channel, settings.scope.quadrature_channel, *settings.beams.channels]
     if len({name for name in taken if name}) < len([name for name in taken if name]):
         raise SettingsError(f"{path}: beams.channels: a channel stands there twice, or is that of the beat")
-    if len(settings.beams.level_v) not in (0, len(settings.beams.channels)):
+    if settings.beams.channels and len(settings.beams.level_v) not in (0, len(settings.beams.channels)):
         raise SettingsError(f"{path}: beams.level_v: needs one level for each of beams.channels, or none")
     if settings.beams.channels and settings.scope.quadrature_channel:
         raise SettingsError(f"{path}: beams.channels: either single beams or a cosine channel, not both")
@@ -286,7 +286,7 @@ RING_LASER = SettingsKind(
     shipped=lambda given: "bench" if _resource(given) else "simulated",
     adapt=_adapt,
     check=_check,
-    knowledge=("front_end", "budget.*", "limits.*", "table.known_tilt_deg", "table.known_tilt_u_deg"),
+    knowledge=("front_end", "budget.*", "limits.*", "beams.*", "table.known_tilt_deg", "table.known_tilt_u_deg"),
 )
 
 
@@ -402,7 +402,8 @@ def knowledge_of_files(wfids: Iterable[str], method: Method, config: Path | None
     said = "coupling" in read_toml(config).get("scope", {}) or math.isfinite(bench.response_u)
     if not (said or bench.high_pass.corrected):
         bench = replace(bench, high_pass=known.bench.high_pass)
-    return replace(known, bench=bench, response=channel_response(settings.front_end))
+    response = channel_response(settings.front_end)
+    return replace(known, bench=bench, response=response, beams=_beams_knowledge(settings))
 
 
 def _amplitude(level_dbc: float) -> float:

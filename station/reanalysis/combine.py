@@ -19,6 +19,7 @@ from analysis.lock_in_run import AxisRates, RecordArrays, RunArrays, evaluate
 from instrument import Waveform
 from station.errors import NoUsableSignal, UsageError
 from station.files import given_back
+from station.lock_in.beams import beams_of_files
 from station.lock_in.columns import Collected, read_waveforms
 from station.lock_in.estimate import Gathered, estimate_pieces
 from station.lock_in.evaluate import LockInEvaluation, RowsOnDemand, errors_in_words, gathered_arrays
@@ -65,6 +66,8 @@ def combine(
     """Make one result with its budget of the records of many sources."""
     work = Work(sources, choices, whole=True)
     settings = stated_of_files(config)
+    if settings is not None and settings.beams.channels and config is not None:
+        channel = channel or load_settings(config).scope.channel  # the others are no beats
     found = _Sources(channel, None if settings is None else channel_response(settings.front_end))
     for parts in work.done_by(workers, estimate_pieces, progress):
         for part in parts:
@@ -89,7 +92,11 @@ def combine(
         over_lock_in=unknown,
     )
     with errors_in_words(), given_back():
-        found_run = evaluate(RunArrays(slow, _nothing(slow)), knowledge, method, estimated, axis)
+        beams = None
+        if settings is not None and settings.beams.channels and len(used) == len(whole):
+            files = [one.name for one in used]
+            beams = beams_of_files(files, work.opened, estimated.beat_frequency, settings)
+        found_run = evaluate(RunArrays(slow, _nothing(slow), beams), knowledge, method, estimated, axis)
     shown = LockInEvaluation(
         **vars(found_run), names=names, waveforms=waveforms, damaged=tuple(str(n + 1) for n in whole.damaged)
     )

@@ -10,7 +10,7 @@ from laser_fields import integrated_fields
 from analysis import estimate_lock_in, fit_rates
 from analysis.arrays import NoFit
 from analysis.harmonics import fit_harmonics
-from analysis.ring_laser import TwoModeLaser
+from analysis.ring_laser import TwoModeLaser, steady_beat
 from analysis.single_beams import BeamModulation, BeamsFlag, BeamsKnowledge, beam_modulation, fit_beams
 
 K, WL, SAMPLES, PERIODS = 2000.0, 0.01, 2500, 20
@@ -250,3 +250,39 @@ def test_no_beam_is_no_fit():
     )
     with pytest.raises(NoFit, match="single beam"):
         fit_beams(alone, nothing, KNOWN)
+
+
+@pytest.mark.parametrize("slowness", [0.05, 0.3, 1.0, 3.0, 5.5])
+def test_the_common_part_of_a_large_ring_and_its_constant(slowness):
+    # far above lock-in: (2.12), and the correction of large rings, whose kappa is 1 + (g/w)^2: 1.033 at w = 5.5 g
+    rate = 3.0
+    made = laser(1.3, 0.8)
+    w = 2 * np.pi * K * rate
+    made = replace(made, gain_rate=w / slowness)
+    beat = steady_beat(made, rate)
+    middle = beat.beams.shape[1] // 2
+    first, second = 2 * beat.beams[:, middle + 1] / beat.beams[:, middle].real
+    common = abs(first + second) / 2
+    assert common == pytest.approx(2 * np.pi * K * WL / np.hypot(w, made.gain_rate), rel=1e-3)
+    kappa = 1 + (made.gain_rate / w) ** 2
+    if slowness == 5.5:
+        assert kappa == pytest.approx(1.033, abs=3e-4)
+    m1, m2, turned = abs(first), abs(second), float(np.angle(second / first))
+    sum2 = (m1**2 + m2**2 + 2 * m1 * m2 * np.cos(turned)) / 4 * kappa
+    difference2 = (m1**2 + m2**2 - 2 * m1 * m2 * np.cos(turned)) / 4
+    corrected = beat.frequency * (4 + 2 * (sum2 - difference2)) / 4
+    pulled = K * rate - beat.frequency
+    assert abs(pulled) > 1e-6 * K * rate
+    assert corrected == pytest.approx(K * rate, abs=0.02 * abs(pulled))
+
+
+@pytest.mark.parametrize("slowness", [0.1, 0.3, 1.0, 3.0])
+def test_the_second_harmonic_of_the_same_laser(slowness):
+    # (2.10) for any coupling, far above lock-in
+    rate, made = 3.0, laser(0.6, 1.0)
+    w = 2 * np.pi * K * rate
+    beat = steady_beat(replace(made, gain_rate=w / slowness), rate)
+    middle = beat.beat.size // 2
+    first, second = beat.beat[middle + 1], beat.beat[middle + 2]
+    adler = np.tan(np.arcsin(WL / rate) / 2)
+    assert abs(second / first) == pytest.approx(adler / np.hypot(1, slowness), rel=1e-3)

@@ -34,6 +34,7 @@ FEWEST = 33  # points of the phase to begin with; twice as many until the last h
 NEGLIGIBLE_LINE = 1e-13
 ROUNDS = 30
 LONGEST_STEP = 0.5
+_RIDGE = 1e-9
 CONVERGED = 1e-8  # Newton's method squares its error: the next step would be rounding
 
 DETOUR = (4.0, 2.0, 1.5, 1.2, 1.1, 1.05, 1.02, 1.01, 1.0)
@@ -221,7 +222,12 @@ def periodic_states(
             jacobian[:, -1, :-1] = -np.tile(share / speed, 2) * speed_by.reshape(count, -1)
             jacobian[:, -1, -1] = -angular * np.sum(share / speed, axis=1)
             missing[:, -1] = 1 - share.sum(axis=1)
-        step = np.linalg.solve(jacobian, missing[..., np.newaxis])[..., 0]
+        try:
+            step = np.linalg.solve(jacobian, missing[..., np.newaxis])[..., 0]
+        except np.linalg.LinAlgError:  # one of them, whose phase stands, must not end the others
+            every = np.arange(jacobian.shape[1])
+            jacobian[:, every, every] += _RIDGE * np.abs(jacobian).max(axis=(1, 2))[:, np.newaxis]
+            step = np.linalg.solve(jacobian, missing[..., np.newaxis])[..., 0]
         size = np.max(np.abs(step), axis=1)
         step *= np.minimum(1.0, LONGEST_STEP / np.maximum(size, 1e-300))[:, np.newaxis]
         values = values + step[:, : 2 * n].reshape(values.shape)

@@ -11,6 +11,7 @@ from analysis import estimate_lock_in, fit_rates
 from analysis.arrays import NoFit
 from analysis.harmonics import fit_harmonics
 from analysis.ring_laser import TwoModeLaser, steady_beat
+from analysis.ring_laser.two_mode_laser import periodic_states
 from analysis.single_beams import BeamModulation, BeamsFlag, BeamsKnowledge, beam_modulation, fit_beams
 
 K, WL, SAMPLES, PERIODS = 2000.0, 0.01, 2500, 20
@@ -286,3 +287,14 @@ def test_the_second_harmonic_of_the_same_laser(slowness):
     first, second = beat.beat[middle + 1], beat.beat[middle + 2]
     adler = np.tan(np.arcsin(WL / rate) / 2)
     assert abs(second / first) == pytest.approx(adler / np.hypot(1, slowness), rel=1e-3)
+
+
+def test_a_laser_without_gain_does_not_end_the_others():
+    made = laser()
+    lasers = np.array([[0.0, 0.0, 0.0, 0.5, 0.0], made.numbers])
+    sagnac = np.full(2, 2 * np.pi * K * 0.1)
+    values, _, found = periodic_states(lasers, sagnac, np.zeros((2, 2, 65)))
+    assert found[1]
+    assert np.isfinite(values[1]).all()
+    middle = np.exp(values[1]).mean()
+    assert middle == pytest.approx(1.0, abs=0.05)

@@ -226,7 +226,7 @@ def periodic_states(
             step = np.linalg.solve(jacobian, missing[..., np.newaxis])[..., 0]
         except np.linalg.LinAlgError:  # one of them, whose phase stands, must not end the others
             every = np.arange(jacobian.shape[1])
-            jacobian[:, every, every] += _RIDGE * np.abs(jacobian).max(axis=(1, 2))[:, np.newaxis]
+            jacobian[:, every, every] += _RIDGE * np.maximum(np.abs(jacobian).max(axis=(1, 2)), 1.0)[:, np.newaxis]
             step = np.linalg.solve(jacobian, missing[..., np.newaxis])[..., 0]
         size = np.max(np.abs(step), axis=1)
         step *= np.minimum(1.0, LONGEST_STEP / np.maximum(size, 1e-300))[:, np.newaxis]

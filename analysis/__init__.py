@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from analysis.channel import ChannelResponse, correct_response
     from analysis.combine import combine_estimates
     from analysis.dead_band import DeadBand, find_dead_band, simulate_sweep
+    from analysis.dithered import DitheredEstimate, combine_dithered, estimate_dithered, lock_in_of_random_walk
     from analysis.flags import DOUBTFUL, FATAL, Flag, describe_flag, flag_names
     from analysis.frequency_method import FrequencyFit, fit_frequencies
     from analysis.harmonics import HarmonicFit, fit_harmonics
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
     from analysis.quadratures import QuadratureEstimate, QuadratureFlag, estimate_quadratures
     from analysis.rotation import EARTH_RATE_DPS, TiltFit, earth_rate_on_axis, rate_on_axis, tilt_from_fast_runs
     from analysis.several_rates import RatesFit, RatesFlag, fit_rate_ratios, fit_rates
+    from analysis.single_beams import BeamModulation, BeamsFit, BeamsKnowledge, beam_modulation, fit_beams
 
 __all__ = [  # noqa: RUF022 - in the order of the work, not of the alphabet
     # make a beat, and what the lock-in equation says of it
@@ -51,16 +53,25 @@ __all__ = [  # noqa: RUF022 - in the order of the work, not of the alphabet
     "estimate_quadratures",
     "fit_harmonics",
     "flag_names",
+    "BeamModulation",
+    "DitheredEstimate",
+    "beam_modulation",
+    "estimate_dithered",
     # many records
+    "BeamsFit",
+    "BeamsKnowledge",
     "DeadBand",
     "FrequencyFit",
     "RatesFit",
     "RatesFlag",
+    "combine_dithered",
     "combine_estimates",
     "find_dead_band",
+    "fit_beams",
     "fit_frequencies",
     "fit_rate_ratios",
     "fit_rates",
+    "lock_in_of_random_walk",
     # the bench: rotation, tilt, channel
     "ChannelResponse",
     "EARTH_RATE_DPS",
@@ -77,6 +88,7 @@ _HOMES = {
     "analysis.channel": ("ChannelResponse", "correct_response"),
     "analysis.combine": ("combine_estimates",),
     "analysis.dead_band": ("DeadBand", "find_dead_band", "simulate_sweep"),
+    "analysis.dithered": ("DitheredEstimate", "combine_dithered", "estimate_dithered", "lock_in_of_random_walk"),
     "analysis.flags": ("DOUBTFUL", "FATAL", "Flag", "describe_flag", "flag_names"),
     "analysis.frequency_method": ("FrequencyFit", "fit_frequencies"),
     "analysis.harmonics": ("HarmonicFit", "fit_harmonics"),
@@ -99,6 +111,7 @@ _HOMES = {
         "tilt_from_fast_runs",
     ),
     "analysis.several_rates": ("RatesFit", "RatesFlag", "fit_rate_ratios", "fit_rates"),
+    "analysis.single_beams": ("BeamModulation", "BeamsFit", "BeamsKnowledge", "beam_modulation", "fit_beams"),
 }
 
 

@@ -842,7 +842,8 @@ def _linear(data: _Data, gain: float, level: float) -> tuple[Floats, float]:
         np.stack([*(math.exp(-level) / np.maximum(data.swing_weight.T, 1e-9)), noise]), rough * np.abs(target)
     )
     rows = np.array([(one / us).ravel() for one in columns]).T
-    known = np.diag([0.0] * 4 + [*(1 / np.maximum(data.sd[CROSSTALK], 1e-9)), 1 / min(data.sd[DISTORTION], 0.01)])
+    bounds = np.clip([*data.sd[CROSSTALK], data.sd[DISTORTION]], 1e-9, 0.01)
+    known = np.diag([*np.zeros(4), *(1 / bounds)])
     system, aim = np.concatenate([rows.real, rows.imag, known]), (target / us).ravel()
     aims = np.concatenate([aim.real, aim.imag, np.zeros(7)])
     values = np.linalg.lstsq(system, aims, rcond=None)[0]
@@ -885,7 +886,7 @@ def _routes(fit: RatesFit, data: _Data, best: _Solution) -> tuple[Route, ...]:
             by_rates = fit_frequencies(
                 some.rate,
                 frequency / (1 + push),
-                _FREED_U * np.abs(push) * frequency,
+                np.hypot(data.beat_u, _FREED_U * np.abs(push) * frequency),
                 input_rate_u=1 / data.rate_weight,
                 bias=np.unique(np.sign(some.rate)).size == 2,
             )

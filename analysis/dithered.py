@@ -1,0 +1,425 @@
+"""Lock-in rate from records of a dithered gyro: what each turning point of the dither does to the phase.
+
+A body dither swings the rate, W = W0 + W_D cos(w t), far beyond lock-in and through zero twice a period. Only for
+microseconds about zero does the coupling act, and there it shifts the phase by some hundredths of a radian,
+B sqrt(2 pi/a) cos(psi + b +- pi/4), B = 2 pi K WL, a the acceleration of the phase: steps in a phase that the
+record shows to a milliradian. With psi0 the phase of a gyro without lock-in,
+
+    psi(t) = psi0(t) - Im[z int exp(i psi(t')) dt'],     z = 2 pi K WL exp(i b)                       (1)
+
+which is exact; the integral is taken along psi of the round before. psi0 is the integral of a rate whose dither
+has a slowly varying complex amplitude (splines) and some harmonics. Least squares on the samples fits it together
+with z, in which (1) is linear.
+
+The sense of rotation does not show in one detector: psi and pi - psi give the same record, so z and -z* are one
+answer.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import IntFlag
+
+import numpy as np
+import scipy.special
+from numpy.typing import ArrayLike
+
+from analysis.arrays import Complexes, Floats, Ints, NoFit
+from analysis.lockin_rate import size_interval
+
+HARMONICS = 3  # of the dither
+KNOTS = 3.0  # of its amplitude in a period
+FINER = 8  # steps of the integral in (1) for a sample
+LONGEST_STEP, ROUNDS, FOLLOWED = 0.45, 12, 0.3  # beats a sample; Gauss-Newton; rad that tracking may leave
+_WINDOW, _HOP, _PADDED = 64, 16, 4  # samples in which a beat is looked for, their distance, zero padding
+_DITHER_RANGE = np.linspace(0.97, 1.03, 25)  # of the stated dither frequency, in which it is looked for
+_STEADY_ROUNDS = 2
+_SMOOTH, _BEATS = 48, 2.5  # samples over which the phase is averaged, and beats that this has to hold
+_LAGS, UNLIKELY, SIGNIFICANT = 20, 0.001, 3.3
+
+
+class DitherFlag(IntFlag):
+    """Bits of `DitheredEstimate.flags`; the lower-case name is the one used in JSON."""
+
+    TOO_SHORT = 1
+    """Less than half a dither period: no turning point need be in the record."""
+    NOT_FOLLOWED = 2
+    """The phase could not be followed: no beat, another dither frequency, or a dither that is not a sinusoid."""
+    ALIASED = 4
+    """The fastest beats have fewer samples than they need: take a faster time base."""
+    MISFIT = 8
+    """What the fit leaves is no white noise: vibration, or a dither that changes faster than its splines."""
+    NOT_SIGNIFICANT = 16
+    """The lock-in rate does not stand out of its uncertainty."""
+    GAPS = 32
+    """The record has clipped or missing samples."""
+
+
+@dataclass(frozen=True)
+class DitheredEstimate:
+    """Estimates of n records, nan where one cannot be used.
+
+    lock_in_rate, lock_in_rate_u, lock_in_rate_low_95, lock_in_rate_high_95 : (n,) deg/s, by the noise alone
+    coupling : (n,) complex, deg/s, WL exp(i b) of (1); or that of the other sense, -WL exp(-i b)
+    coupling_covariance : (n, 2, 2) of its real and imaginary part
+    dither_rate, dither_frequency : (n,) deg/s, mean amplitude W_D of the dither, and Hz
+    noise_rms : (n,) volts, what the fit leaves
+    flags : (n,) bits of `DitherFlag`
+    """
+
+    lock_in_rate: Floats
+    lock_in_rate_u: Floats
+    lock_in_rate_low_95: Floats
+    lock_in_rate_high_95: Floats
+    coupling: Complexes
+    coupling_covariance: Floats
+    dither_rate: Floats
+    dither_frequency: Floats
+    noise_rms: Floats
+    flags: Ints
+
+
+def estimate_dithered(
+    volts: ArrayLike,
+    sample_interval: float,
+    *,
+    scale_factor: float,
+    dither_frequency: float,
+    clipped: ArrayLike | None = None,
+) -> DitheredEstimate:
+    """Lock-in rate from records of a gyro whose dither is on.
+
+    Parameters
+    ----------
+    volts : (n, n_samples)
+        Some dither periods each, or half of one. The fastest beat needs more than two samples a period.
+    sample_interval : float
+        Seconds.
+    scale_factor : float
+        K, pulses per degree.
+    dither_frequency : float
+        Hz, to 3 %.
+    clipped : (n, n_samples) of bool, optional
+
+    Raises
+    ------
+    ValueError
+        A scale factor, dither frequency or sample interval that is not positive, or fewer than 500 samples.
+    """
+    records = np.asarray(volts, dtype=np.float64)
+    if records.ndim != 2 or records.shape[1] < _FEWEST:
+        raise ValueError(f"volts must have shape (n, {_FEWEST} or more), not {records.shape}")
+    if not (scale_factor > 0 and dither_frequency > 0 and sample_interval > 0):
+        raise ValueError("scale_factor, dither_frequency and sample_interval must be positive")
+    gaps = np.asarray(~np.isfinite(records).all(axis=-1)).ravel()
+    if clipped is not None:
+        gaps |= np.asarray(clipped).any(axis=-1)
+    found = [
+        _Record.failed(DitherFlag.GAPS) if gap else _estimated(one, sample_interval, dither_frequency)
+        for one, gap in zip(records, gaps.tolist(), strict=True)
+    ]
+    per_rate = 2 * np.pi * scale_factor
+    z = np.array([one.z for one in found], dtype=np.complex128) / per_rate
+    covariance = np.array([one.covariance for one in found]).reshape(-1, 2, 2) / per_rate**2
+    size, u, low, high = _size(z, covariance)
+    flags = np.array([int(one.flags) for one in found], dtype=np.int64)
+    flags |= np.where(size < SIGNIFICANT * u, int(DitherFlag.NOT_SIGNIFICANT), 0)
+    return DitheredEstimate(
+        size,
+        u,
+        low,
+        high,
+        z,
+        covariance,
+        np.array([one.dither for one in found]) / scale_factor,
+        np.array([one.frequency for one in found]),
+        np.array([one.noise for one in found]),
+        flags,
+    )
+
+
+def combine_dithered(each: DitheredEstimate) -> DitheredEstimate:
+    """One value of all records that can be used, whose backscatter phase is one.
+
+    Raises
+    ------
+    NoFit
+        No record that can be used.
+    """
+    doubtful = int(DitherFlag.TOO_SHORT | DitherFlag.NOT_FOLLOWED | DitherFlag.ALIASED | DitherFlag.GAPS)
+    rows = np.flatnonzero((each.flags & (doubtful | int(DitherFlag.MISFIT))) == 0)
+    if not rows.size:
+        raise NoFit("no record of a dithered gyro that could be used")
+    weights = np.asarray(np.linalg.inv(each.coupling_covariance[rows]), dtype=np.float64)
+    mirror = np.array([[-1.0, 1.0], [1.0, -1.0]])
+    own = np.stack([each.coupling[rows].real, each.coupling[rows].imag], axis=-1)
+    other, other_weights = own * np.array([-1.0, 1.0]), weights * -mirror
+    # of two answers for each record that which agrees with the others; where they begin does not matter
+    tried = [
+        _agreeing(begin, (own, weights), (other, other_weights))
+        for begin in own[np.argsort(each.lock_in_rate_u[rows])[:3]]
+    ]
+    left, mean, covariance = min(tried, key=lambda one: one[0])
+    freedom = 2 * (rows.size - 1)
+    flags = 0
+    if freedom and float(scipy.special.chdtrc(freedom, left)) < UNLIKELY:
+        covariance, flags = covariance * (left / freedom), int(DitherFlag.MISFIT)
+    z = np.array([complex(*mean)])
+    size, u, low, high = _size(z, covariance[np.newaxis])
+    flags |= int(DitherFlag.NOT_SIGNIFICANT) if size[0] < SIGNIFICANT * u[0] else 0
+    return DitheredEstimate(
+        size,
+        u,
+        low,
+        high,
+        z,
+        covariance[np.newaxis],
+        np.array([each.dither_rate[rows].mean()]),
+        np.array([each.dither_frequency[rows].mean()]),
+        np.array([math.sqrt(np.mean(each.noise_rms[rows] ** 2))]),
+        np.array([flags]),
+    )
+
+
+def _agreeing(
+    begin: Floats, own: tuple[Floats, Floats], other: tuple[Floats, Floats]
+) -> tuple[float, Floats, Floats]:
+    """Chi-square, mean (2,) and covariance of records, each with the answer that is nearer to the mean."""
+    mean = begin
+    for _ in range(ROUNDS):
+        first, second = (np.einsum("ni,nij,nj->n", one - mean, weight, one - mean) for one, weight in (own, other))
+        turned = first > second
+        chosen = np.where(turned[:, np.newaxis], other[0], own[0])
+        weights = np.where(turned[:, np.newaxis, np.newaxis], other[1], own[1])
+        covariance = np.linalg.inv(weights.sum(axis=0))
+        mean = covariance @ np.einsum("nij,nj->i", weights, chosen)
+    apart = chosen - mean
+    return float(np.einsum("ni,nij,nj->", apart, weights, apart)), np.asarray(mean), covariance
+
+
+def lock_in_of_random_walk(random_walk: float, *, scale_factor: float, dither_rate: float) -> float:
+    """Lock-in rate, deg/s, of a random walk of dithered counts in deg/sqrt(s): N = WL/sqrt(2 pi K W_D), (2.13).
+
+    An average over the phase of the coupling, for dither amplitudes that vary so that every turning point finds
+    another phase; what else makes the counts walk adds to it.
+    """
+    return random_walk * math.sqrt(2 * math.pi * scale_factor * dither_rate)
+
+
+def _size(z: Complexes, covariance: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+    """|z| freed of the bias that noise gives it, its u and 95 % interval, (n,) each."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        along = np.stack([z.real, z.imag], axis=-1) / np.abs(z)[:, np.newaxis]
+        across = along[:, ::-1] * np.array([-1.0, 1.0])
+        u = np.sqrt(np.einsum("ni,nij,nj->n", along, covariance, along))
+        bias = np.einsum("ni,nij,nj->n", across, covariance, across)
+        low, high = size_interval(np.abs(z) / u)
+        return np.sqrt(np.maximum(np.abs(z) ** 2 - bias, 0.0)), u, low * u, high * u
+
+
+# --------------------
+# One record
+
+
+_FEWEST = 500
+
+
+@dataclass(frozen=True)
+class _Record:
+    """What one record says: z in rad/s with its covariance, dither in Hz of beat."""
+
+    z: complex
+    covariance: Floats
+    dither: float
+    frequency: float
+    noise: float
+    flags: DitherFlag
+
+    @staticmethod
+    def failed(flag: DitherFlag) -> _Record:
+        """A record without a number."""
+        return _Record(complex(math.nan, math.nan), np.full((2, 2), np.nan), math.nan, math.nan, math.nan, flag)
+
+
+class _Motion:
+    """The beat without lock-in as a function of its parameters, at `FINER` times for every sample."""
+
+    def __init__(self, n_samples: int, sample_interval: float, dither: float) -> None:
+        from scipy.interpolate import BSpline  # few programs need it
+
+        self.step = sample_interval / FINER
+        self.samples = np.arange(n_samples) * FINER
+        times = (np.arange(n_samples * FINER) / FINER - (n_samples - 1) / 2) * sample_interval
+        reach = n_samples * sample_interval / 2
+        inner = np.linspace(-reach, reach, max(1, math.ceil(KNOTS * 2 * reach * dither)) + 1)
+        knots = np.concatenate([inner[:1].repeat(3), inner, inner[-1:].repeat(3)])
+        self.splines = BSpline.design_matrix(np.clip(times, inner[0], inner[-1]), knots, 3).toarray().T
+        turns = 2 * np.pi * dither * times
+        first = np.concatenate([self.splines * np.cos(turns), self.splines * np.sin(turns)])
+        higher = [wave(order * turns) for order in range(2, HARMONICS + 1) for wave in (np.cos, np.sin)]
+        self.rates = np.concatenate([np.ones((1, times.size)), first, np.array(higher)])
+        self.phases = 2 * np.pi * self.integral(self.rates)
+
+    def integral(self, values: Floats) -> Floats:
+        """Integral from the beginning on, by trapezia, of the same shape."""
+        total = np.zeros_like(values)
+        np.cumsum((values[..., 1:] + values[..., :-1]) * (self.step / 2), axis=-1, out=total[..., 1:])
+        return total
+
+    def amplitude(self, parameters: Floats) -> float:
+        """Mean amplitude of the dither."""
+        count = len(self.splines)
+        both = parameters[1 : 1 + count] - 1j * parameters[1 + count : 1 + 2 * count]
+        return float(np.mean(np.abs(both @ self.splines)))
+
+
+def _estimated(volts: Floats, sample_interval: float, dither: float) -> _Record:
+    """Follow the phase roughly, then fit the samples."""
+    duration = volts.size * sample_interval
+    if duration * dither < 0.5:
+        return _Record.failed(DitherFlag.TOO_SHORT)
+    if not np.ptp(volts) > 0:
+        return _Record.failed(DitherFlag.NOT_FOLLOWED)
+    dither, bias, amplitude, phase = _by_beats(volts, sample_interval, dither)
+    motion = _Motion(volts.size, sample_interval, dither)
+    count = len(motion.splines)
+    parameters = np.zeros(len(motion.rates))
+    parameters[0] = bias
+    parameters[1 : 1 + count], parameters[1 + count : 1 + 2 * count] = (
+        amplitude * math.cos(phase),
+        -amplitude * math.sin(phase),
+    )
+    parameters, start, left = _followed(volts - volts.mean(), motion, parameters, sample_interval)
+    if not left < FOLLOWED:
+        return _Record.failed(DitherFlag.NOT_FOLLOWED)
+    if np.max(np.abs(parameters @ motion.rates)) * sample_interval > LONGEST_STEP:
+        return _Record.failed(DitherFlag.ALIASED)
+    return _fitted(volts, motion, parameters, start, dither)
+
+
+def _by_beats(volts: Floats, sample_interval: float, dither: float) -> tuple[float, float, float, float]:
+    """Dither frequency, bias, amplitude (Hz of beat) and phase, by the frequency of the beat in short pieces."""
+    begins = np.arange(0, volts.size - _WINDOW + 1, _HOP)
+    window = np.hanning(_WINDOW + 2)[1:-1]
+    pieces = volts[begins[:, np.newaxis] + np.arange(_WINDOW)]
+    sizes = np.abs(np.fft.rfft((pieces - pieces.mean(axis=-1, keepdims=True)) * window, _PADDED * _WINDOW))
+    sizes[:, :6] = 0
+    place = np.clip(sizes.argmax(axis=-1), 1, sizes.shape[1] - 2)
+    before, top, after = (
+        np.log(np.take_along_axis(sizes, (place + k)[:, np.newaxis], 1)[:, 0] + 1e-300) for k in (-1, 0, 1)
+    )
+    curved = before - 2 * top + after
+    offset = 0.5 * (before - after) / np.where(curved < 0, curved, -1.0)
+    frequency = (place + offset) / (_PADDED * _WINDOW * sample_interval)
+    times = (begins + (_WINDOW - volts.size) / 2) * sample_interval
+    clear = top > np.median(top) - math.log(2)
+    # f^2 is linear in the waves of the dither and of twice its frequency
+    fits = []
+    for share in _DITHER_RANGE:
+        turns = 2 * np.pi * share * dither * times
+        waves = np.stack(
+            [np.ones_like(turns), *(wave(n * turns) for n in (1, 2) for wave in (np.cos, np.sin))], -1
+        )
+        values = np.linalg.lstsq(waves[clear], frequency[clear] ** 2, rcond=None)[0]
+        fits.append((float(np.sum((waves @ values - frequency**2)[clear] ** 2)), share * dither, values))
+    _, dither, values = min(fits, key=lambda one: one[0])
+    amplitude = max(math.sqrt(2 * math.hypot(values[3], values[4])), 1e-300)
+    phase = 0.5 * math.atan2(-values[4], values[3])
+    bias = (values[1] * math.cos(phase) - values[2] * math.sin(phase)) / (2 * amplitude)
+    return dither, float(bias), amplitude, phase
+
+
+def _followed(
+    volts: Floats, motion: _Motion, parameters: Floats, sample_interval: float
+) -> tuple[Floats, float, float]:
+    """Parameters by the phase where the beat is fast, that of the beginning, and rad that are left."""
+    weights = np.hanning(_SMOOTH + 2)[1:-1]
+    inside = np.zeros(volts.size, dtype=bool)
+    inside[_SMOOTH : -_SMOOTH : _HOP // 2] = True
+    start = left = math.nan
+    steady = np.zeros(
+        (3, parameters.size)
+    )  # a dither of one amplitude first: it cannot bend where nothing is seen
+    steady[0, 0], steady[1, 1 : 1 + len(motion.splines)] = 1.0, 1.0
+    steady[2, 1 + len(motion.splines) : 1 + 2 * len(motion.splines)] = 1.0
+    for number in range(ROUNDS):
+        rate = (parameters @ motion.rates)[motion.samples]
+        turned = volts * np.exp(-1j * (parameters @ motion.phases)[motion.samples])
+        rows = np.flatnonzero(inside & (np.abs(rate) * _SMOOTH * sample_interval > _BEATS))
+        lost = not np.max(np.abs(rate)) * sample_interval < 1.0
+        if lost or rows.size < 2 * parameters.size:
+            return parameters, math.nan, math.inf
+        phase = np.unwrap(np.angle(np.convolve(turned, weights, "same")[rows]))
+        ways = steady if number < _STEADY_ROUNDS else np.eye(parameters.size)
+        columns = np.column_stack([(ways @ motion.phases[:, motion.samples[rows]]).T, np.ones(rows.size)])
+        scale = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)  # a spline may have no sample there
+        change = np.linalg.lstsq(columns / scale, phase, rcond=1e-9)[0] / scale
+        left = float(np.std(phase - columns @ change))
+        parameters, start = parameters + change[:-1] @ ways, float(change[-1])
+        if number >= _STEADY_ROUNDS and np.std(phase) < 2 * left:
+            break
+    return parameters, start + math.pi / 2, left
+
+
+def _fitted(volts: Floats, motion: _Motion, parameters: Floats, start: float, dither: float) -> _Record:
+    """Levenberg and Marquardt on the samples: offset, amplitude, phase, motion, z, second harmonic."""
+    count, size = volts.size, parameters.size
+    values = np.concatenate([[volts.mean(), math.sqrt(2) * volts.std(), start], parameters, np.zeros(4)])
+    left, columns = _left(values, volts, motion)
+    damping = 1e-6
+    for _ in range(ROUNDS):
+        scale = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+        u, singular, vt = np.linalg.svd(columns / scale, full_matrices=False)
+        along, cost = u.T @ left, float(left @ left)
+        if float(np.max(np.abs(along))) < 1e-3 * math.sqrt(cost / count):
+            break
+        while damping < 1.0:
+            trial = values + vt.T @ (along * singular / (singular**2 + damping)) / scale
+            trial_left, trial_columns = _left(trial, volts, motion)
+            if trial_left @ trial_left < cost:
+                break
+            damping *= 30.0
+        else:
+            break
+        values, left, columns, damping = trial, trial_left, trial_columns, max(damping / 100, 1e-14)
+    noise = math.sqrt(float(left @ left) / (count - values.size))
+    if noise > FOLLOWED * abs(values[1]):
+        return _Record.failed(DitherFlag.NOT_FOLLOWED)
+    inverse = (vt.T / np.maximum(singular, 1e-9) ** 2) @ vt / np.outer(scale, scale) * noise**2
+    white = _is_white(left)
+    whole = count * motion.step * FINER * dither >= 1
+    return _Record(
+        complex(*values[-4:-2]),
+        inverse[-4:-2, -4:-2],
+        motion.amplitude(values[3 : 3 + size]) if whole else math.nan,
+        dither,
+        noise,
+        DitherFlag(0) if white else DitherFlag.MISFIT,
+    )
+
+
+def _left(values: Floats, volts: Floats, motion: _Motion) -> tuple[Floats, Floats]:
+    """What parameters leave of the samples, and the derivatives of the model, (n_samples, parameters)."""
+    at, z, second = motion.samples, complex(*values[-4:-2]), complex(*values[-2:])
+    free = values[3:-4] @ motion.phases + values[2]
+    phase = free
+    for _ in range(2):
+        walk = motion.integral(np.exp(1j * phase))
+        phase = free - (z * walk).imag
+    walk, phase = walk[at], phase[at]
+    twice = np.exp(2j * phase)
+    left = volts - values[0] - values[1] * np.sin(phase) - (second * twice).real
+    slope = values[1] * np.cos(phase) - 2 * (second * twice).imag
+    motions = (slope * motion.phases[:, at]).T
+    steps = [-slope * walk.imag, -slope * walk.real, twice.real, -twice.imag]
+    columns = np.column_stack([np.ones(volts.size), np.sin(phase), slope, motions, *steps])
+    return left, columns
+
+
+def _is_white(left: Floats) -> bool:
+    """Whether neighbouring residuals have nothing in common (Ljung and Box)."""
+    count, power = left.size, float(left @ left)
+    shares = np.array([float(left[lag:] @ left[:-lag]) / power for lag in range(1, _LAGS + 1)])
+    chi_square = count * (count + 2) * float(np.sum(shares**2 / (count - np.arange(1, _LAGS + 1))))
+    return float(scipy.special.chdtrc(_LAGS, chi_square)) > UNLIKELY

@@ -1,0 +1,124 @@
+"""Records of dithered gyros, integrated in time by a program of their own."""
+
+import numpy as np
+import pytest
+from scipy.interpolate import CubicSpline
+
+from analysis import combine_dithered, estimate_dithered, lock_in_of_random_walk
+from analysis.arrays import NoFit
+from analysis.dithered import DitherFlag
+
+K, SAMPLES, FINER = 2000.0, 2500, 8
+
+
+def records(
+    rng, count, *, lock_in, phase, swing=100.0, dither=400.0, bias=0.7, periods=2.0, jitter=0.01, wave=np.cos
+):
+    """Volts (count, SAMPLES) in eight bits, and the sample interval: fourth-order Runge and Kutta."""
+    step = periods / dither / SAMPLES / FINER
+    begin = rng.uniform(0, 2 * np.pi, count)
+    knots = (np.arange(int(np.ceil(periods)) + 4) - 2) / dither
+    breath = CubicSpline(knots, 1 + jitter * rng.standard_normal((knots.size, count)))
+
+    def turning(time):
+        return 2 * np.pi * K * (0.7 + swing * breath(time) * wave(2 * np.pi * dither * time + begin))
+
+    pull = 2 * np.pi * K * np.broadcast_to(lock_in, count)
+    psi, seen, after = rng.uniform(0, 2 * np.pi, count), np.empty((count, SAMPLES)), turning(0.0)
+    for number in range(SAMPLES * FINER):
+        if number % FINER == 0:
+            seen[:, number // FINER] = psi
+        before, middle, after = after, turning((number + 0.5) * step), turning((number + 1) * step)
+        one = before - pull * np.sin(psi + phase)
+        two = middle - pull * np.sin(psi + step / 2 * one + phase)
+        three = middle - pull * np.sin(psi + step / 2 * two + phase)
+        four = after - pull * np.sin(psi + step * three + phase)
+        psi = psi + step / 6 * (one + 2 * two + 2 * three + four)
+    volts = np.sin(seen) + 0.003 * np.cos(2 * seen)
+    return np.round(90 * volts + 0.6 * rng.standard_normal(volts.shape)) / 90, step * FINER
+
+
+@pytest.fixture(scope="module")
+def run():
+    rng = np.random.default_rng(11)
+    true = np.exp(rng.uniform(np.log(0.02), np.log(0.2), 24))
+    volts, interval = records(rng, 24, lock_in=true, phase=1.1)
+    return true, estimate_dithered(volts, interval, scale_factor=K, dither_frequency=401.5)
+
+
+def test_each_record_holds_what_it_says(run):
+    true, each = run
+    usable = (each.flags & ~int(DitherFlag.NOT_SIGNIFICANT)) == 0
+    assert usable.sum() >= 20
+    off = ((each.lock_in_rate - true) / each.lock_in_rate_u)[usable]
+    assert np.max(np.abs(off)) < 4
+    assert 0.6 < np.sqrt(np.mean(off**2)) < 1.4
+    assert np.median(each.lock_in_rate_u[usable]) < 0.006
+    assert each.dither_rate[usable] == pytest.approx(np.full(usable.sum(), 100.0), rel=0.03)
+    # the coupling itself, or that of the other sense
+    wanted = true * np.exp(1.1j)
+    apart = np.minimum(np.abs(each.coupling - wanted), np.abs(each.coupling + np.conj(wanted)))
+    assert np.all(apart[usable] < 5 * each.lock_in_rate_u[usable])
+
+
+def test_half_a_period_may_do():
+    volts, interval = records(np.random.default_rng(8), 12, lock_in=0.08, phase=0.2, periods=0.6)
+    each = estimate_dithered(volts, interval, scale_factor=K, dither_frequency=402.0)
+    usable = (each.flags & ~int(DitherFlag.NOT_SIGNIFICANT)) == 0
+    assert usable.sum() >= 5
+    assert np.all(np.abs(each.lock_in_rate - 0.08)[usable] < 4 * each.lock_in_rate_u[usable])
+    assert np.isnan(each.dither_rate).all()
+
+
+def test_many_records_are_one_value():
+    rng = np.random.default_rng(5)
+    volts, interval = records(rng, 16, lock_in=0.03, phase=2.4)
+    each = estimate_dithered(volts, interval, scale_factor=K, dither_frequency=398.0)
+    together = combine_dithered(each)
+    assert together.lock_in_rate_u[0] < 0.45 * np.nanmin(each.lock_in_rate_u)
+    assert abs(together.lock_in_rate[0] - 0.03) < 3.3 * together.lock_in_rate_u[0]
+    assert not together.flags[0]
+    # those of the other sense are turned round, whichever comes first
+    turned = estimate_dithered(volts[::-1], interval, scale_factor=K, dither_frequency=398.0)
+    assert combine_dithered(turned).lock_in_rate[0] == pytest.approx(together.lock_in_rate[0], rel=1e-6)
+    half = estimate_dithered(volts[:2], interval, scale_factor=K / 2, dither_frequency=398.0)
+    assert half.lock_in_rate == pytest.approx(2 * each.lock_in_rate[:2], rel=1e-6)
+
+
+def test_what_cannot_be_followed_is_no_number():
+    rng = np.random.default_rng(3)
+    plain = {"lock_in": 0.05, "phase": 0.4}
+    volts, interval = records(rng, 4, **plain)
+
+    def flags(some, step=interval, dither=400.0, **more):
+        return estimate_dithered(some, step, scale_factor=K, dither_frequency=dither, **more)
+
+    for wrong in (
+        flags(volts, dither=520.0),
+        flags(rng.standard_normal((3, SAMPLES))),
+        flags(np.ones((2, SAMPLES))),
+        flags(np.outer([1.0, -1e-3], np.linspace(0, 1, SAMPLES) ** 3)),
+        flags(np.outer([1.0, 5.0], np.arange(SAMPLES) == 700)),
+        flags(np.sin(np.outer([0.01, 3.1, 2.0], np.arange(SAMPLES)))),
+        flags(*records(rng, 3, **plain, wave=lambda x: np.arcsin(np.sin(x)) * 2 / np.pi)),
+    ):
+        assert np.all(wrong.flags & int(DitherFlag.NOT_FOLLOWED | DitherFlag.MISFIT | DitherFlag.ALIASED))
+    assert np.all(flags(volts, dither=90.0).flags == int(DitherFlag.TOO_SHORT))
+    assert np.all(flags(volts[:, ::3], 3 * interval).flags & int(DitherFlag.ALIASED | DitherFlag.NOT_FOLLOWED))
+    cut = np.zeros(volts.shape, dtype=bool)
+    cut[1, 40] = True
+    gaps = flags(volts, clipped=cut)
+    assert (gaps.flags & int(DitherFlag.GAPS)).tolist() == [0, int(DitherFlag.GAPS), 0, 0]
+    assert np.isnan(gaps.lock_in_rate[1])
+    with pytest.raises(NoFit, match="dithered"):
+        combine_dithered(flags(volts, dither=90.0))
+    for bad in ({"scale_factor": 0.0}, {"dither_frequency": -1.0}):
+        with pytest.raises(ValueError, match="positive"):
+            estimate_dithered(volts, interval, **({"scale_factor": K, "dither_frequency": 400.0} | bad))
+    with pytest.raises(ValueError, match="shape"):
+        estimate_dithered(volts[:, :100], interval, scale_factor=K, dither_frequency=400.0)
+
+
+def test_the_random_walk_of_counts():
+    # science.md (2.13) and its table: 1.262e-4 deg/sqrt(s) for 0.05 deg/s at 50 deg/s and 500 pulses/deg
+    assert lock_in_of_random_walk(1.262e-4, scale_factor=500, dither_rate=50) == pytest.approx(0.05, rel=1e-3)

@@ -409,6 +409,7 @@ POSSIBLE = 9.0  # chi-square above the best up to which another solution is poss
 UNLIKELY = 0.001
 _HOPELESS = 100.0  # chi-square over the number of values, from which on no laser is near the records
 _GOOD = 2.0  # chi-square over the number of values, up to which a search is not begun at a much worse place
+_SETTLED = 1e-9  # a step that changes chi-square by less, relatively, was the last one
 _TRIES, _EVALUATIONS = 10, 60  # steps of a first look, and of the search to the end
 
 
@@ -782,7 +783,7 @@ def _search(model: _LaserModel, start: Floats, evaluations: int) -> tuple[Floats
     if residual(start[free])[0] == _FAILED:
         return None
     made = least_squares(
-        residual, start[free], jac=slope, x_scale="jac", max_nfev=evaluations, ftol=1e-6, xtol=None, gtol=None
+        residual, start[free], jac=slope, x_scale="jac", max_nfev=evaluations, ftol=_SETTLED, xtol=None, gtol=None
     )
     return whole(made.x), 2 * float(made.cost)
 

@@ -21,7 +21,7 @@ from functools import cache
 from pathlib import Path
 
 GOLDEN = Path(__file__).resolve().parents[1] / "golden"
-RING_LASER = ("single", "several", "quadrature", "channel", "turning", "acquired", "default")
+RING_LASER = ("single", "several", "quadrature", "channel", "turning", "acquired", "default", "beams")
 FOG = {"table": "table", "logs": "table", "selfcal": "selfcal", "selfcal_by_table": "selfcal", "eps": "eps"}
 FOG |= {"figures": "figures", "witness": "witness", "allan": "allan", "threshold": "threshold"}
 FOG |= {"temperature": "temperature"}

@@ -434,6 +434,7 @@ class BeamsFit:
     backscatter_phase, backscatter_phase_u : rad, beta less the readout phase
     gain_rate, gain_rate_low_95, gain_rate_high_95 : rad/s, at which the sum of the beams relaxes
     distortion, distortion_u : as in `RatesFit`
+    beside : value and u of what else a `RatesFit` has by the same name, and of "lag": s, the pole of the receiver
     rate, beat_frequency, corrected_frequency, corrected_frequency_u : (p,) of every setting and visit: deg/s, Hz,
         and the beat that the gyro would have without backscatter, signed as the rate
     modulation, modulation_u, fitted : (p, 2) AC over DC of both beams against the phase of the beat, as it was
@@ -461,6 +462,7 @@ class BeamsFit:
     gain_rate_high_95: float
     distortion: float
     distortion_u: float
+    beside: dict[str, tuple[float, float]]
     rate: Floats
     beat_frequency: Floats
     corrected_frequency: Floats
@@ -515,14 +517,7 @@ def fit_beams(
     data = _data(fit, modulation, knowledge or BeamsKnowledge(), receiver or ReceiverKnowledge())
     found = _solutions(data)
     best, points = found[0], data.points.points
-    weights = (
-        data.swing_weight,
-        data.swing_weight,
-        data.rate_weight,
-        points.ratio,
-        points.ratio,
-        points.third_weight,
-    )
+    weights = [data.swing_weight, points.ratio] * 2 + [data.rate_weight, points.third_weight]
     degrees = sum(int(np.count_nonzero(one)) for one in weights) - int(np.count_nonzero(np.isinf(data.sd)))
     p_value = float(scipy.special.chdtrc(degrees, best.chi_square)) if degrees > 0 else math.nan
     widen = max(best.chi_square / max(degrees, 1), 1.0) if p_value < UNLIKELY else 1.0
@@ -566,6 +561,7 @@ def fit_beams(
         gain_rate_high_95=math.exp(min(gain + NORMAL_95 * gain_u, 700.0)),
         distortion=float(values[DISTORTION]),
         distortion_u=float(us[DISTORTION]),
+        beside={name: (float(values[place]), float(us[place])) for name, place in _BESIDE.items()},
         rate=points.rate,
         beat_frequency=points.angular / (2 * np.pi),
         corrected_frequency=corrected,
@@ -582,6 +578,10 @@ def fit_beams(
         p_value=p_value,
         flags=flags,
     )
+
+
+_BESIDE = {"third_order": THIRD_ORDER, "lag": LAG, "phase_drift": TURN, "lock_in_drift": DRIFT}
+_BESIDE |= {"phase_between_senses": BETWEEN}
 
 
 def _data(fit: RatesFit, modulation: BeamModulation, known: BeamsKnowledge, receiver: ReceiverKnowledge) -> _Data:
@@ -722,10 +722,8 @@ class _Solution:
         moved = self.parameters + _steps(self.model.data)
         slopes = (self.model.predicted(moved)[3] - sagnac) / np.diagonal(moved - self.parameters)[:, np.newaxis]
         variance = np.einsum("ip,ij,jp->p", slopes, self.covariance, slopes) * widen
-        # what shifts the beat shifts it as much
-        return sagnac / (2 * np.pi), np.hypot(
-            np.sqrt(np.maximum(variance, 0.0)) / (2 * np.pi), self.model.data.beat_u
-        )
+        u = np.sqrt(np.maximum(variance, 0.0)) / (2 * np.pi)
+        return sagnac / (2 * np.pi), np.hypot(u, self.model.data.beat_u)  # what shifts the beat shifts it as much
 
 
 def _steps(data: _Data) -> Floats:

@@ -247,6 +247,10 @@ def with_beams(fit: RatesFit, beams: BeamsFit) -> RatesFit:
     """A fit of the beat alone, with what the single beams have settled of it."""
     told = BeamsFlag.MISFIT, BeamsFlag.SEVERAL_SOLUTIONS, BeamsFlag.NOT_SIGNIFICANT
     flags = fit.flags & ~_SETTLED | sum(RatesFlag[str(one.name)] for one in told if one & beams.flags)
+    beside = dict(beams.beside)
+    lag, lag_u = beside.pop("lag")
+    found: dict[str, Any] = {name: value for name, (value, _) in beside.items()}
+    found |= {f"{name}_u": u for name, (_, u) in beside.items()}
     gain_time, gain_u = 1 / beams.gain_rate, math.log(beams.gain_rate_high_95 / beams.gain_rate) / 1.96
     return replace(
         fit,
@@ -260,6 +264,12 @@ def with_beams(fit: RatesFit, beams: BeamsFit) -> RatesFit:
         backscatter_phase_u=beams.backscatter_phase_u,
         distortion=beams.distortion,
         distortion_u=beams.distortion_u,
+        **found,
+        lag_square=lag * abs(lag),
+        lag_square_u=math.hypot(2 * lag * lag_u, lag_u**2),
+        chi_square=beams.chi_square,
+        degrees_of_freedom=beams.degrees_of_freedom,
+        p_value=beams.p_value,
         gain_time=gain_time,
         gain_time_u=min(gain_u, 10.0) * gain_time,
         flags=int(flags),

@@ -226,6 +226,8 @@ class LockInEvaluation(LockInRun):
         text = describe_method(self.method)
         if self.quadratures is not None:
             text = f"{text}, sine and cosine channel"
+        if self.several is not None and self.several.beams is not None:
+            text = f"{text}, single beams"
         if self.several is None:
             return text
         fitted = {"lock-in": "", "distortion": " and distortion", "gain": " and gain corner"}

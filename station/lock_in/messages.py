@@ -91,7 +91,9 @@ def rates_sentences(evaluation: LockInEvaluation) -> list[str]:
     several = evaluation.several
     if several is None:
         return []
-    fitted = [several.problem] if several.by_beat is None else list(describe_rates(several.by_beat))
+    fitted = [several.problem]
+    if several.by_beat is not None:
+        fitted = list(describe_rates(several.by_beat, beams=several.beams is not None))
     return [*fitted, *(f"No record at {text}" for text in evaluation.without_beat)]
 
 
@@ -194,8 +196,11 @@ CAVEAT = (
 )
 
 
-def describe_rates(fit: RatesFit) -> tuple[str, ...]:
-    """Sentences for the person who reads the result, the main one first."""
+def describe_rates(fit: RatesFit, *, beams: bool = False) -> tuple[str, ...]:
+    """Sentences for the person who reads the result, the main one first; `beams`: these say more than the beat."""
+    if beams:
+        said = _value(fit), _distortion(fit), _third_order(fit), _bandwidth(fit), _locked(fit), _unused(fit)
+        return tuple(filter(None, said))
     sentences = [_value(fit), _distortion(fit), _gain(fit), _alternatives(fit), _third_order(fit), _bandwidth(fit)]
     sentences += [_test(fit), _left_out(fit), _phase(fit), _records(fit)]
     sentences += [_locked(fit), _unused(fit), _mismatch(fit)]

@@ -62,7 +62,8 @@ def sections(found: LockInEvaluation, result: Result) -> list[Section]:
         made.append(_several_rates(found, found.several))
         if (beams := found.several.beams) is not None:
             made.append(_single_beams(found.several, beams))
-        made += _checks(found.several)
+        else:
+            made += _checks(found.several)
     elif found.usable:
         caption = "Lock-in rate of every record with its standard uncertainty, the combined value, and the beat."
         figure = PlacedFigure(values_svg(found), caption)

@@ -96,7 +96,8 @@ def _document(found: LockInEvaluation) -> dict[str, Any]:
     fits = {} if several is None else {"by_beat": several.by_beat, "by_table": several.by_table}
     for name, fit in fits.items():
         if fit is not None:
-            made["several_rates"][name]["sentences"] = describe_rates(fit)
+            with_beams = name == "by_beat" and several is not None and several.beams is not None
+            made["several_rates"][name]["sentences"] = describe_rates(fit, beams=with_beams)
     if several is not None and several.by_frequency is not None:
         made["several_rates"]["by_frequency"]["sentences"] = describe_frequencies(several.by_frequency)
     if found.budget is not None:

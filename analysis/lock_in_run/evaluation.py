@@ -68,7 +68,7 @@ from analysis.several_rates import (
     fit_again,
     fit_rates,
 )
-from analysis.single_beams import BeamsFit, BeamsFlag, fit_beams
+from analysis.single_beams import NORMAL_95, BeamsFit, BeamsFlag, fit_beams
 
 CANCEL_IN_THE_CHECK = ("noise", "scale_factor", "time_base")
 """Inputs of the budget that the check by the table has counted already, or that the tilt absorbs in it."""
@@ -251,7 +251,7 @@ def with_beams(fit: RatesFit, beams: BeamsFit) -> RatesFit:
     lag, lag_u = beside.pop("lag")
     found: dict[str, Any] = {name: value for name, (value, _) in beside.items()}
     found |= {f"{name}_u": u for name, (_, u) in beside.items()}
-    gain_time, gain_u = 1 / beams.gain_rate, math.log(beams.gain_rate_high_95 / beams.gain_rate) / 1.96
+    gain_time, gain_u = 1 / beams.gain_rate, math.log(beams.gain_rate_high_95 / beams.gain_rate) / NORMAL_95
     return replace(
         fit,
         lock_in_rate=beams.lock_in_rate,

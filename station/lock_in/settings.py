@@ -219,8 +219,8 @@ def _check(settings: Settings, path: Path) -> Settings:
         )
     if settings.scope.quadrature_channel == settings.scope.channel:
         raise SettingsError(f"{path}: scope.quadrature_channel: is the same as scope.channel")
-    taken = [settings.scope.channel, settings.scope.quadrature_channel, *settings.beams.channels]
-    if len({name for name in taken if name}) < len([name for name in taken if name]):
+    taken = [settings.scope.channel, *filter(None, (settings.scope.quadrature_channel, *settings.beams.channels))]
+    if len(set(taken)) < len(taken):
         raise SettingsError(f"{path}: beams.channels: a channel stands there twice, or is that of the beat")
     if settings.beams.channels and len(settings.beams.level_v) not in (0, len(settings.beams.channels)):
         raise SettingsError(f"{path}: beams.level_v: needs one level for each of beams.channels, or none")

@@ -14,6 +14,8 @@ Indices = NDArray[np.intp]
 Samples = NDArray[Any]  # float32 or float64
 Phasors = NDArray[Any]  # complex64 or complex128
 
+NORMAL_95 = 1.959963984540054  # standard uncertainties to each end of the 95 % interval of a normal distribution
+
 
 # --------------------
 # What records, or what is stated of a bench, do not give; a call that is wrong in itself is a ValueError

@@ -9,7 +9,13 @@ record shows to a milliradian. With psi0 the phase of a gyro without lock-in,
 
 which is exact; the integral is taken along psi of the round before. psi0 is the integral of a rate whose dither
 has a slowly varying complex amplitude (splines) and some harmonics. Least squares on the samples fits it together
-with z, in which (1) is linear.
+with z, in which (1) is linear. The record is that of a receiver,
+
+    V = V0 + A (1 + m) sin(psi) / sqrt(1 + D rate^2) + Re[c exp(2 i psi)],   dm/dt = g (Re[w exp(i psi)] - m)   (2)
+
+with one pole (D; its delay is one of the dither's phase) and a second harmonic (c). The light follows the coupling
+up to the gain corner g (2.12): by a tenth where the beat turns over, and that would pass for lock-in. Beams that
+are alike have w = z/g; here w is free, and g an unknown with a bound.
 
 The sense of rotation does not show in one detector: psi and pi - psi give the same record, so z and -z* are one
 answer.
@@ -25,8 +31,7 @@ import numpy as np
 import scipy.special
 from numpy.typing import ArrayLike
 
-from analysis.arrays import Complexes, Floats, Ints, NoFit
-from analysis.lockin_rate import size_interval
+from analysis.arrays import NORMAL_95, Complexes, Floats, Ints, NoFit
 
 HARMONICS = 3  # of the dither
 KNOTS = 3.0  # of its amplitude in a period
@@ -37,6 +42,9 @@ _DITHER_RANGE = np.linspace(0.97, 1.03, 25)  # of the stated dither frequency, i
 _STEADY_ROUNDS = 2
 _SMOOTH, _BEATS = 48, 2.5  # samples over which the phase is averaged, and beats that this has to hold
 _LAGS, UNLIKELY, SIGNIFICANT = 20, 0.001, 3.3
+_LEAST_GAIN, _ROUNDS = 0.1, 40
+_CIRCLE = np.stack([np.cos(np.linspace(0, 2 * np.pi, 181)), np.sin(np.linspace(0, 2 * np.pi, 181))], axis=-1)
+_GAIN_CORNER, _GAIN_CORNER_U = math.log(2 * math.pi * 1e4), 2.0  # ln of rad/s: 1.4 to 74 kHz
 
 
 class DitherFlag(IntFlag):
@@ -209,13 +217,19 @@ def lock_in_of_random_walk(random_walk: float, *, scale_factor: float, dither_ra
 
 def _size(z: Complexes, covariance: Floats) -> tuple[Floats, Floats, Floats, Floats]:
     """|z| freed of the bias that noise gives it, its u and 95 % interval, (n,) each."""
+    # of the sizes that chi-square leaves at any phase: the ellipse of z is long where one turning point was seen
     with np.errstate(invalid="ignore", divide="ignore"):
-        along = np.stack([z.real, z.imag], axis=-1) / np.abs(z)[:, np.newaxis]
-        across = along[:, ::-1] * np.array([-1.0, 1.0])
-        u = np.sqrt(np.einsum("ni,nij,nj->n", along, covariance, along))
+        across = np.stack([-z.imag, z.real], axis=-1) / np.abs(z)[:, np.newaxis]
         bias = np.einsum("ni,nij,nj->n", across, covariance, across)
-        low, high = size_interval(np.abs(z) / u)
-        return np.sqrt(np.maximum(np.abs(z) ** 2 - bias, 0.0)), u, low * u, high * u
+        axes, ways = np.linalg.eigh(np.where(np.isfinite(covariance), covariance, 0.0))
+        lengths = NORMAL_95 * np.sqrt(np.maximum(axes, 0.0))
+        own = np.einsum("nji,nj->ni", ways, np.stack([z.real, z.imag], axis=-1))
+        edge = own[:, np.newaxis] + lengths[:, np.newaxis] * _CIRCLE
+        sizes = np.linalg.norm(edge, axis=-1)
+        holds_zero = np.sum((own / lengths) ** 2, axis=-1) < 1
+        low, high = np.where(holds_zero, 0.0, sizes.min(axis=-1)), sizes.max(axis=-1)
+        value, low = np.sqrt(np.maximum(np.abs(z) ** 2 - bias, 0.0)), np.sqrt(np.maximum(low**2 - bias, 0.0))
+        return value, (high - low) / (2 * NORMAL_95), low, high
 
 
 # --------------------
@@ -266,6 +280,15 @@ class _Motion:
         total = np.zeros_like(values)
         np.cumsum((values[..., 1:] + values[..., :-1]) * (self.step / 2), axis=-1, out=total[..., 1:])
         return total
+
+    def decaying(self, values: Complexes, corner: float, turning: float) -> Complexes:
+        """Values behind a low-pass with a corner in rad/s; they turned so fast (rad/s) before."""
+        from scipy.signal import lfilter
+
+        kept = math.exp(-corner * self.step)
+        share = (1 - kept) / 2
+        before = values[0] * (corner / (corner + 1j * turning) - share)
+        return np.asarray(lfilter([share, share], [1.0, -kept], values, zi=[before])[0])
 
     def amplitude(self, parameters: Floats) -> float:
         """Mean amplitude of the dither."""
@@ -363,58 +386,84 @@ def _followed(
 
 
 def _fitted(volts: Floats, motion: _Motion, parameters: Floats, start: float, dither: float) -> _Record:
-    """Levenberg and Marquardt on the samples: offset, amplitude, phase, motion, z, second harmonic."""
+    """Fit the samples: with light and receiver that follow at once first, then with those of (2)."""
     count, size = volts.size, parameters.size
-    values = np.concatenate([[volts.mean(), math.sqrt(2) * volts.std(), start], parameters, np.zeros(4)])
-    left, columns = _left(values, volts, motion)
+    begin = [volts.mean(), math.sqrt(2) * volts.std(), start, *parameters, *np.zeros(7), _GAIN_CORNER]
+    values, left, _ = _descended(np.array(begin), len(begin) - 4, volts, motion, 0.0)
+    values, left, covariance = _descended(values, len(begin), volts, motion, float(left.std()) / _GAIN_CORNER_U)
+    noise = math.sqrt(float(left[:count] @ left[:count]) / (count - values.size))
+    if noise > FOLLOWED * abs(values[1]):
+        return _Record.failed(DitherFlag.NOT_FOLLOWED)
+    whole = count * motion.step * FINER * dither >= 1
+    return _Record(
+        complex(*values[-8:-6]),
+        noise**2 * covariance[-8:-6, -8:-6],
+        motion.amplitude(values[3 : 3 + size]) if whole else math.nan,
+        dither,
+        noise,
+        DitherFlag(0) if _is_white(left[:count]) else DitherFlag.MISFIT,
+    )
+
+
+def _descended(
+    values: Floats, free: int, volts: Floats, motion: _Motion, bound: float
+) -> tuple[Floats, Floats, Floats]:
+    """Levenberg and Marquardt with the first `free` parameters: values, residuals, covariance for noise 1."""
+    left, columns = _left(values, volts, motion, bound)
     damping = 1e-6
-    for _ in range(ROUNDS):
-        scale = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
-        u, singular, vt = np.linalg.svd(columns / scale, full_matrices=False)
+    for _ in range(_ROUNDS):
+        scale = np.maximum(np.linalg.norm(columns[:, :free], axis=0), 1e-300)
+        u, singular, vt = np.linalg.svd(columns[:, :free] / scale, full_matrices=False)
         along, cost = u.T @ left, float(left @ left)
-        if float(np.max(np.abs(along))) < 1e-3 * math.sqrt(cost / count):
+        if float(np.max(np.abs(along))) < 1e-3 * math.sqrt(cost / left.size):
             break
         while damping < 1.0:
-            trial = values + vt.T @ (along * singular / (singular**2 + damping)) / scale
-            trial_left, trial_columns = _left(trial, volts, motion)
-            if trial_left @ trial_left < cost:
+            trial = values.copy()
+            trial[:free] += vt.T @ (along * singular / (singular**2 + damping)) / scale
+            with np.errstate(over="ignore", invalid="ignore"):  # a trial may be far from anything
+                trial_left, trial_columns = _left(trial, volts, motion, bound)
+                better = bool(trial_left @ trial_left < cost)
+            if better:
                 break
             damping *= 30.0
         else:
             break
         values, left, columns, damping = trial, trial_left, trial_columns, max(damping / 100, 1e-14)
-    noise = math.sqrt(float(left @ left) / (count - values.size))
-    if noise > FOLLOWED * abs(values[1]):
-        return _Record.failed(DitherFlag.NOT_FOLLOWED)
-    inverse = (vt.T / np.maximum(singular, 1e-9) ** 2) @ vt / np.outer(scale, scale) * noise**2
-    white = _is_white(left)
-    whole = count * motion.step * FINER * dither >= 1
-    return _Record(
-        complex(*values[-4:-2]),
-        inverse[-4:-2, -4:-2],
-        motion.amplitude(values[3 : 3 + size]) if whole else math.nan,
-        dither,
-        noise,
-        DitherFlag(0) if white else DitherFlag.MISFIT,
-    )
+    return values, left, (vt.T / np.maximum(singular, 1e-9) ** 2) @ vt / np.outer(scale, scale)
 
 
-def _left(values: Floats, volts: Floats, motion: _Motion) -> tuple[Floats, Floats]:
-    """What parameters leave of the samples, and the derivatives of the model, (n_samples, parameters)."""
-    at, z, second = motion.samples, complex(*values[-4:-2]), complex(*values[-2:])
-    free = values[3:-4] @ motion.phases + values[2]
+def _left(values: Floats, volts: Floats, motion: _Motion, bound: float) -> tuple[Floats, Floats]:
+    """What (2) leaves of the samples, and its derivatives; in the last row g beside its bound."""
+    at, moved = motion.samples, values[3:-8]
+    z, second, follows = (complex(*pair) for pair in values[-8:-2].reshape(3, 2))
+    offset, amplitude, start, pole, corner = *values[:3], values[-2], min(max(values[-1], 6.0), 18.0)
+    free = moved @ motion.phases + start
     phase = free
     for _ in range(2):
-        walk = motion.integral(np.exp(1j * phase))
+        fringe = np.exp(1j * phase)
+        walk = motion.integral(fringe)
         phase = free - (z * walk).imag
-    walk, phase = walk[at], phase[at]
-    twice = np.exp(2j * phase)
-    left = volts - values[0] - values[1] * np.sin(phase) - (second * twice).real
-    slope = values[1] * np.cos(phase) - 2 * (second * twice).imag
-    motions = (slope * motion.phases[:, at]).T
-    steps = [-slope * walk.imag, -slope * walk.real, twice.real, -twice.imag]
-    columns = np.column_stack([np.ones(volts.size), np.sin(phase), slope, motions, *steps])
-    return left, columns
+    rate = (moved @ motion.rates)[at]
+    place = (rate / np.max(np.abs(rate))) ** 2
+    gain = 1 / np.sqrt(np.maximum(1 + pole * place, _LEAST_GAIN))
+    light = motion.decaying(fringe, math.exp(corner), 2 * np.pi * rate[0])
+    later = motion.decaying(light, math.exp(corner), 2 * np.pi * rate[0])[at]
+    lag = np.sign(rate) * np.sqrt(np.maximum(pole * place, 0.0))
+    walk, phase, light = walk[at], phase[at] + lag - np.arctan(lag), light[at]
+    sine, twice = amplitude * gain * np.sin(phase), second * np.exp(2j * phase)
+    swing = 1 + (follows * light).real
+    slope = amplitude * gain * swing * np.cos(phase) - 2 * twice.imag
+    columns = np.zeros((volts.size + 1, values.size))
+    columns[:-1, 0], columns[:-1, 1], columns[:-1, 2] = 1.0, gain * swing * np.sin(phase), slope
+    columns[:-1, 3:-8] = (slope * motion.phases[:, at]).T
+    columns[:-1, -8], columns[:-1, -7] = -slope * walk.imag, -slope * walk.real
+    columns[:-1, -6], columns[:-1, -5] = np.cos(2 * phase), -np.sin(2 * phase)
+    columns[:-1, -4], columns[:-1, -3] = sine * light.real, -sine * light.imag
+    columns[:-1, -2] = 0.5 * place * (slope * lag / (1 + lag**2) - sine * swing * gain**2)
+    columns[:-1, -1] = sine * (follows * (light - later)).real
+    columns[-1, -1] = bound
+    left = volts - offset - sine * swing - twice.real
+    return np.append(left, bound * (_GAIN_CORNER - corner)), columns
 
 
 def _is_white(left: Floats) -> bool:

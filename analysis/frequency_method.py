@@ -16,11 +16,10 @@ import numpy as np
 import scipy.special
 from numpy.typing import ArrayLike
 
-from analysis.arrays import Bools, Floats, NoFit
+from analysis.arrays import NORMAL_95, Bools, Floats, NoFit
 
 ROUNDS = 20
 UNLIKELY = 0.001
-NORMAL_95 = 1.959964
 _AT_ONCE = 1 << 14
 
 

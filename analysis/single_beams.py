@@ -27,7 +27,7 @@ import numpy as np
 import scipy.special
 from numpy.typing import ArrayLike
 
-from analysis.arrays import Bools, Complexes, Floats, Indices, NoFit
+from analysis.arrays import NORMAL_95, Bools, Complexes, Floats, Indices, NoFit
 from analysis.budget.bench import SCALE_FACTOR_LIMIT, TABLE_RATE_LIMIT, lowest_bandwidth
 from analysis.frequency_method import fit_frequencies
 from analysis.harmonics import fit_free_harmonics
@@ -36,8 +36,6 @@ from analysis.ring_laser.two_mode_laser import beat_phase, periodic_states
 from analysis.several_rates import RatesFit, ReceiverKnowledge
 from analysis.several_rates.points import Points, gather, with_noise
 from analysis.several_rates.ratio_model import SENSES, RatioData, in_standard_uncertainties, nearest_series
-
-NORMAL_95 = 1.959964
 
 # --------------------
 # One record: how far each beam swings with the beat, and with which phase

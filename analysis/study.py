@@ -10,7 +10,7 @@ import scipy.fft
 import scipy.signal
 from numpy.typing import ArrayLike
 
-from analysis.arrays import Floats
+from analysis.arrays import NORMAL_95, Floats
 from analysis.harmonics import fit_harmonics
 from analysis.lockin_equation import Relation, beat_frequency, beat_signal, harmonic_ratio, lock_in_from_rate
 from analysis.lockin_rate import estimate_lock_in
@@ -197,7 +197,6 @@ EXPERIMENT_LEVELS = 100  # of the converter, in the amplitude
 _PERIODS = (20.0, 50.0)
 _TRIALS = 128
 _PAIRS = 24
-_NORMAL_95 = 1.959964
 _HANN_BANDWIDTH = 1.5
 
 
@@ -237,9 +236,9 @@ def find_experiment_causes(over_lock_in: tuple[float, ...] = OVER_LOCK_IN, seed:
         _cause("reading, no window", [_read(one, "boxcar", rng) for one in over]),
         hann,
         _cause("reading, flat top", [_read(one, "flattop", rng) for one in over]),
-        Cause("noise", noise, _NORMAL_95 * noise),
+        Cause("noise", noise, NORMAL_95 * noise),
         Cause("earth", swing / rate / np.sqrt(2), swing / rate),
-        Cause("tilt", tilt, _NORMAL_95 * tilt),
+        Cause("tilt", tilt, NORMAL_95 * tilt),
         _cause("distortion", [_distorted(one) for one in over]),
     )
     counted = [cause.rms for cause in causes if not cause.name.startswith("reading") or cause is hann]

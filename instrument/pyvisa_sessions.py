@@ -188,6 +188,7 @@ def open_instrument(
 
 
 _BACKENDS = {"pyvisa_py": "@py", "pyvisa": "@ivi"}
+_PTY = "ASRL/dev/pts/"  # of a simulated instrument: no vendor's VISA knows such a port
 _found: list[str] = []  # the backend that PyVISA chose; it asks ldd and a compiler for a vendor's, 0.1 s each time
 
 
@@ -204,7 +205,7 @@ def visa_manager(backend: str = "") -> pyvisa.ResourceManager:
 def _manager(name: str, manager: pyvisa.ResourceManager | None) -> pyvisa.ResourceManager:
     """The manager that was given, or PyVISA's own choice; an adapter needs PyVISA-py."""
     try:
-        return manager or visa_manager("@py" if behind_adapter(name) else "")
+        return manager or visa_manager("@py" if behind_adapter(name) or name.startswith(_PTY) else "")
     except Exception as error:
         raise LinkError(f"cannot open {name}: {_reason(error)}") from error
 

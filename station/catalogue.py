@@ -22,6 +22,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from analysis.arrays import NORMAL_95
 from station.errors import NoUsableSignal, RunError, UsageError
 from station.files import inert
 from station.measurements import MEASUREMENTS, measurement
@@ -491,7 +492,7 @@ def draw_trend(figure: Figure, series: Series) -> None:
             marker = _MARKERS[place // len(_COLOURS) % len(_MARKERS)]
             times = [datetime.fromisoformat(entry.started_at) for entry, _ in values]
             numbers = [value.value for _, value in values]
-            bars = [0.0 if value.u != value.u else 1.96 * value.u for _, value in values]
+            bars = [0.0 if value.u != value.u else NORMAL_95 * value.u for _, value in values]
             axes.errorbar(
                 times, numbers, bars, color=colour, lw=0.7, elinewidth=0.8, alpha=0.9, label=unit, zorder=2
             )

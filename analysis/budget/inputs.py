@@ -14,7 +14,7 @@ from typing import Literal
 import numpy as np
 import scipy.special
 
-from analysis.arrays import Complexes, Floats, NoBudget
+from analysis.arrays import NORMAL_95, Complexes, Floats, NoBudget
 from analysis.budget.bench import (
     SCALE_FACTOR_LIMIT,
     TABLE_RATE_LIMIT,
@@ -338,7 +338,6 @@ Distribution = Literal["normal", "rectangular", "arcsine"]
 Reference = Literal["beat", "rate"]
 """What WL is measured against: f/K of the record itself, or the rate given by a table."""
 
-NORMAL_95 = float(scipy.special.ndtri(0.975))
 """Standard deviations of a normal distribution to either side that hold 95 % of it."""
 
 

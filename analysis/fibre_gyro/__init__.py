@@ -73,7 +73,7 @@ from analysis.fibre_gyro.response import (
     sine_response,
     step_response,
 )
-from analysis.fibre_gyro.scatter import NORMAL_95, RunScatter, few_values_factor, find_run_scatter
+from analysis.fibre_gyro.scatter import RunScatter, few_values_factor, find_run_scatter
 from analysis.fibre_gyro.sensitivity import StimulusResponse, stimulus_response, tumble
 from analysis.fibre_gyro.staircase import (
     StaircaseWitness,

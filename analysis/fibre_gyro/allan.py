@@ -34,7 +34,7 @@ import scipy.special
 from numpy.typing import ArrayLike
 from scipy.sparse.linalg import LinearOperator, cg
 
-from analysis.arrays import Bools, Floats
+from analysis.arrays import NORMAL_95, Bools, Floats
 from analysis.fibre_gyro.noise_terms import (
     CORRELATED,
     CORRELATION_TIME,
@@ -46,7 +46,7 @@ from analysis.fibre_gyro.noise_terms import (
     low_passed,
     term_of,
 )
-from analysis.fibre_gyro.scatter import NORMAL_95, outliers
+from analysis.fibre_gyro.scatter import outliers
 
 _MOST_BLOCKS = 256
 _FEWEST_WORDS = 512

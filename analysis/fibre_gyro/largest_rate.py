@@ -21,8 +21,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from analysis.arrays import Bools, Floats
-from analysis.fibre_gyro.scatter import NORMAL_95
+from analysis.arrays import NORMAL_95, Bools, Floats
 
 Beyond = Literal["", "stands still", "settles on another fringe", "wraps", "bends"]
 

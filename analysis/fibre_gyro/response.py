@@ -29,8 +29,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import least_squares
 
-from analysis.arrays import Bools, Complexes, Floats, Ints
-from analysis.fibre_gyro.scatter import NORMAL_95
+from analysis.arrays import NORMAL_95, Bools, Complexes, Floats, Ints
 
 _STARTS = 14
 _AFTER = 4.0  # delays and time constants behind a step, within which the words see its shape

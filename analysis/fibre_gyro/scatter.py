@@ -24,9 +24,8 @@ import scipy.optimize
 import scipy.special
 from numpy.typing import ArrayLike
 
-from analysis.arrays import Bools, Floats
+from analysis.arrays import NORMAL_95, Bools, Floats
 
-NORMAL_95 = float(scipy.special.ndtri(0.975))
 _SIZES = 32
 _PARTS = np.array([0.0, 0.001, 0.01, 0.1, 0.5, 1.0])
 """Shares of the variance that do not grow with the output; of three axes at once outputs differ a thousandfold."""

@@ -33,7 +33,7 @@ from numpy.polynomial import Legendre, Polynomial
 from numpy.typing import ArrayLike
 from scipy.special import ndtr
 
-from analysis.arrays import Floats, Ints
+from analysis.arrays import NORMAL_95, Floats, Ints
 
 _SIZES = 18
 SLOW_NOISES = ("from value to value", "from segment to segment", "as 1/f", "as a walk")  # kinds of slow noise
@@ -41,7 +41,6 @@ _SHARES = (0.15, 0.15, 0.5, 0.2)  # of them before the data: 1/f is what fibre g
 _SEGMENT, _SLOWEST = 0.02, 2.0  # of the time of the run
 _FLICKER_TERMS = 10
 _SEPARATE = 0.1  # part of the change of dT/dt that no polynomial in T explains: less cannot be told from one
-_NORMAL_95 = 1.959964
 _NEGLIGIBLE = 1e-7  # probability
 _LAGS = np.array([1, 2, 4, 8, 16]) / 320.0  # of the time of the run, by which a thermometer may be late or early
 _NOTHING_BEYOND = 2.0  # weight of no slow noise, in that of one up to the noise of a value
@@ -76,7 +75,7 @@ class Mixture:
             middle = (low + high) / 2
             inside = self.weight @ (ndtr((middle - off) / sigma) - ndtr((-middle - off) / sigma))
             low, high = np.where(inside < 0.95, middle, low), np.where(inside < 0.95, high, middle)
-        return np.asarray((low + high) / 2 / _NORMAL_95, dtype=np.float64)
+        return np.asarray((low + high) / 2 / NORMAL_95, dtype=np.float64)
 
 
 @dataclass(frozen=True)

@@ -24,9 +24,8 @@ import numpy as np
 import scipy.special
 from numpy.typing import ArrayLike
 
-from analysis.arrays import Bools, Floats
+from analysis.arrays import NORMAL_95, Bools, Floats
 from analysis.fibre_gyro.injection import static_level
-from analysis.fibre_gyro.scatter import NORMAL_95
 
 THRESHOLD_PART, DEAD_PART = 0.5, 0.1
 _STRAIGHT, _SURE = 0.2, 4.0  # by which a slope may differ from K, and standard uncertainties beyond which it does

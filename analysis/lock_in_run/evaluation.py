@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from analysis.arrays import Complexes, Floats, Indices, NoFit, OneRateOnly, OutsideResponse
+from analysis.arrays import NORMAL_95, Complexes, Floats, Indices, NoFit, OneRateOnly, OutsideResponse
 from analysis.budget import (
     BenchKnowledge,
     Bounded,
@@ -68,7 +68,7 @@ from analysis.several_rates import (
     fit_again,
     fit_rates,
 )
-from analysis.single_beams import NORMAL_95, BeamsFit, BeamsFlag, fit_beams
+from analysis.single_beams import BeamsFit, BeamsFlag, fit_beams
 
 CANCEL_IN_THE_CHECK = ("noise", "scale_factor", "time_base")
 """Inputs of the budget that the check by the table has counted already, or that the tilt absorbs in it."""

@@ -15,7 +15,7 @@ import numpy as np
 import scipy.special
 from numpy.typing import ArrayLike
 
-from analysis.arrays import Complexes, Floats, NoFit
+from analysis.arrays import NORMAL_95, Complexes, Floats, NoFit
 from analysis.lockin_rate import LockInEstimate
 from analysis.several_rates.points import (
     MISMATCH,
@@ -519,7 +519,7 @@ def _gain_time_limit(fits: dict[Model, RatioFit], chosen: Model) -> float:
     fuller: Model = "both" if chosen == "distortion" else "gain"
     if FREE[chosen][1] or fuller not in fits:
         return float("nan")
-    return float(max(fits[fuller].parameters[0, 3], 0.0) + 1.96 * np.sqrt(fits[fuller].covariance[0, 3, 3]))
+    return float(max(fits[fuller].parameters[0, 3], 0.0) + NORMAL_95 * np.sqrt(fits[fuller].covariance[0, 3, 3]))
 
 
 def _rates_differ(of: UsedRecords, said: RatesAnswer, mismatch: Floats, several: bool) -> tuple[float, bool]:
@@ -751,8 +751,6 @@ MATTERS = 0.3
 
 _LEAST_U = 1e-5  # of a beat over its rate: what the motion of any table leaves in a mean over a record
 
-_NORMAL_95 = 1.959964
-
 
 def table_noise(points: Points, fit: RatioFit) -> float:
     """Relative standard uncertainty of the rates of the points, beyond what was stated, as their beats show it."""
@@ -778,4 +776,4 @@ def table_noise(points: Points, fit: RatioFit) -> float:
     share = u * math.sqrt(left / freedom - 1)
     if not MATTERS * known < share < MISMATCH:
         return 0.0
-    return share * float(scipy.special.stdtrit(freedom, 0.975)) / _NORMAL_95
+    return share * float(scipy.special.stdtrit(freedom, 0.975)) / NORMAL_95

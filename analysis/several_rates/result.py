@@ -6,7 +6,7 @@ from typing import Literal
 
 import numpy as np
 
-from analysis.arrays import Bools, Complexes, Floats
+from analysis.arrays import NORMAL_95, Bools, Complexes, Floats
 from analysis.several_rates.points import SAME_RATE, UsedRecords, first_of_groups, rate_mismatch
 from analysis.several_rates.ratio_model import DRIFT, Reference, predicted_ratio, whitened
 
@@ -261,12 +261,12 @@ class RatesFit:
     @property
     def gain_corner_low_95_hz(self) -> float:
         """Lower end of the 95 % interval of g_c/2 pi."""
-        return _corner(self.gain_time + 1.96 * self.gain_time_u)
+        return _corner(self.gain_time + NORMAL_95 * self.gain_time_u)
 
     @property
     def gain_corner_high_95_hz(self) -> float:
         """Upper end of the 95 % interval of g_c/2 pi; inf where the data do not see the corner."""
-        return _corner(self.gain_time - 1.96 * self.gain_time_u)
+        return _corner(self.gain_time - NORMAL_95 * self.gain_time_u)
 
     @property
     def bandwidth_hz(self) -> float:
@@ -276,7 +276,7 @@ class RatesFit:
     @property
     def bandwidth_low_95_hz(self) -> float:
         """Lower end of the 95 % interval of that corner."""
-        return _corner(_root(self.lag_square + 1.96 * self.lag_square_u))
+        return _corner(_root(self.lag_square + NORMAL_95 * self.lag_square_u))
 
 
 def _root(square: float) -> float:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.special
 
-from analysis.arrays import Floats
+from analysis.arrays import NORMAL_95, Floats
 from analysis.lockin_rate import size_interval
 from analysis.several_rates.points import Points
 from analysis.several_rates.ratio_model import N_PARAMETERS, PHASES, SENSES, Prior, RatioData, RatioFit, profile
@@ -80,7 +80,7 @@ def by_profile(
     # and which is not above `most`.
     if not said.value > _WELL_KNOWN * said.u:
         return said
-    student = float(scipy.special.stdtrit(degrees, 0.975)) if degrees else _NORMAL_95
+    student = float(scipy.special.stdtrit(degrees, 0.975)) if degrees else NORMAL_95
     minima = range(1 + len(said.others))
     units = [lock_in_u(found[row : row + 1]) * math.sqrt(widen) for row in minima]
     around = [float(np.hypot(*found.parameters[row, :2])) + units[row] * _REACH for row in minima]
@@ -100,7 +100,6 @@ def by_profile(
 
 
 _WELL_KNOWN = 6.0
-_NORMAL_95 = 1.959964
 _OUTWARDS = np.array([1.2, 1.7, 2.2, 2.8, 3.5, 4.5, 6.0, 8.0, 11.0, 15.0, 20.0, 28.0, 40.0])
 _REACH = np.concatenate([-_OUTWARDS[::-1], [0.0], _OUTWARDS])
 """Standard uncertainties about a minimum, as its curvature has them, at which the valley is sounded: a bent one is
@@ -152,7 +151,7 @@ _BESIDE_A_TURN = 1.5
 def widened(said: RatesAnswer, share: float) -> RatesAnswer:
     """The answer with one more unknown beside what it counts: a rectangle of half width `share` of its value."""
     extra = share * said.value / math.sqrt(3)
-    reach = _NORMAL_95 * extra
+    reach = NORMAL_95 * extra
     low = said.value - math.hypot(said.value - said.low, reach)
     high = said.value + math.hypot(said.high - said.value, reach)
     return RatesAnswer(said.value, math.hypot(said.u, extra), max(low, 0.0), high, said.others)
@@ -194,7 +193,7 @@ def _size(fit: RatioFit, widen: float, degrees: int) -> tuple[float, float, floa
     by_turns = float(np.vecdot(shared[:, 0], np.linalg.solve(covariance[np.ix_(turns, turns)], shared)[:, 0]))
     across = size**2 * max(float(covariance[1, 1]) - by_turns, 0.0)
     u = float(np.sqrt(covariance[0, 0]))
-    student = float(scipy.special.stdtrit(degrees, 0.975)) / 1.96 if degrees else 1.0
+    student = float(scipy.special.stdtrit(degrees, 0.975)) / NORMAL_95 if degrees else 1.0
     low, high = size_interval(size / (u * student))
     return float(np.sqrt(max(size**2 - across, 0.0))), u, float(low) * u * student, float(high) * u * student
 

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.arrays import NORMAL_95
 from analysis.fibre_gyro import (
     LADDER_TERMS,
-    NORMAL_95,
     AxisFit,
     InputAxisTilt,
     Linearity,

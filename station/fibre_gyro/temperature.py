@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from analysis.arrays import NORMAL_95
 from analysis.fibre_gyro import (
-    NORMAL_95,
     OverTemperature,
     fit_over_temperature,
     horizontal_earth_rate_dps,

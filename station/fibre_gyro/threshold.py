@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import numpy as np
 from pydantic import Field
 
+from analysis.arrays import NORMAL_95
 from analysis.fibre_gyro import (
-    NORMAL_95,
     Edge,
     Ladder,
     References,

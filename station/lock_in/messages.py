@@ -5,6 +5,7 @@ import math
 import numpy as np
 
 from analysis import FATAL, Flag, FrequencyFit, QuadratureFlag, RatesFit, RatesFlag, describe_flag, flag_names
+from analysis.arrays import NORMAL_95
 from analysis.budget import Budget
 from analysis.frequency_method import FrequencyFlag
 from analysis.lock_in_run import ScaleFactorCheck, SeveralRates, TableCheck
@@ -260,7 +261,7 @@ def _distortion(fit: RatesFit) -> str:
     if abs(fit.distortion) > SEEN * fit.distortion_u:
         level = 20 * np.log10(abs(fit.distortion))
         return f"The receiver makes a second harmonic of {level:.1f} dBc; it is taken out."
-    limit = 20 * np.log10(abs(fit.distortion) + 1.96 * fit.distortion_u)
+    limit = 20 * np.log10(abs(fit.distortion) + NORMAL_95 * fit.distortion_u)
     return f"No second-order distortion is seen; it is below {limit:.0f} dBc with 95 %."
 
 

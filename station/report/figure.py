@@ -84,12 +84,16 @@ def renamed(svg: str, name: str) -> str:
 
 def _drawn(name: str, size: tuple[float, float], draw: Callable[[Figure], None], kind: str, **how: Any) -> bytes:
     import matplotlib
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
     from matplotlib.figure import Figure
+    from matplotlib.layout_engine import ConstrainedLayoutEngine
 
     style: Any = STYLE | {"svg.hashsalt": f"gyrolock-{name}"}
     with matplotlib.rc_context(style):
-        figure = Figure(figsize=size, layout="constrained")
+        figure = Figure(figsize=size, dpi=72)
+        FigureCanvasSVG(figure)
         draw(figure)
+        ConstrainedLayoutEngine().execute(figure)  # once: with an engine of its own a figure is drawn twice
         file = io.BytesIO()
         figure.savefig(file, format=kind, **how)
     return file.getvalue()

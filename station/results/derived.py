@@ -13,6 +13,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
+from analysis.arrays import NORMAL_95
 from station.results.quantity import Quantities, Value
 
 _OF_THE_UNIT = {"scale_factor", "gain_corner", "table"}
@@ -23,7 +24,6 @@ _OF_THE_BENCH = {
 """Lines of a budget that are constants of the unit, and of the bench; every other is of a run, distortion too."""
 
 
-_K95 = 1.96
 Form = Literal["less", "over"]
 
 
@@ -45,12 +45,14 @@ def derived(form: Form, first: BudgetedValue, second: BudgetedValue, *, of_one: 
         both = -u_a * u_b * (-1 if form == "over" and a.value * b.value < 0 else 1)
     if form == "less":
         value, u = a.value - b.value, math.sqrt(max(u_a**2 + u_b**2 - 2 * both, 0.0))
-        return Value(value, a.unit, value - _K95 * u, value + _K95 * u, a.of, u, a.quantity)
+        return Value(value, a.unit, value - NORMAL_95 * u, value + NORMAL_95 * u, a.of, u, a.quantity)
     value = a.value / b.value if b.value else math.nan
     variance, slope = u_a**2 + value**2 * u_b**2 - 2 * value * both, both / u_b**2 if u_b else 0.0
-    far = (_K95 * u_b / b.value) ** 2 if b.value else math.inf  # 1: b may be 0, and nothing bounds the ratio
+    far = (NORMAL_95 * u_b / b.value) ** 2 if b.value else math.inf  # 1: b may be 0, and nothing bounds the ratio
     middle = (value - far * slope) / (1 - far) if far < 1 else math.nan
-    reach = math.sqrt(max(variance - far * (u_a**2 - slope * both), 0.0)) * _K95 / abs(b.value or 1) / abs(1 - far)
+    reach = (
+        NORMAL_95 * math.sqrt(max(variance - far * (u_a**2 - slope * both), 0.0)) / abs((b.value or 1) * (1 - far))
+    )
     u = math.sqrt(max(variance, 0.0)) / abs(b.value or 1)
     return Value(value, "", middle - reach, middle + reach, a.of, u, a.quantity)
 
@@ -98,4 +100,4 @@ def _shared(budget: Any, value: Value, document: Mapping[str, Any]) -> dict[tupl
 def _u(value: Value) -> float:
     """Standard uncertainty, or half of the wider side of the 95 % interval if it is more; nan where not known."""
     side = max(value.value - value.low_95, value.high_95 - value.value)
-    return max(value.u, side / 2 if math.isfinite(side) else 0.0) if math.isfinite(value.u) else side / 1.96
+    return max(value.u, side / 2 if math.isfinite(side) else 0.0) if math.isfinite(value.u) else side / NORMAL_95

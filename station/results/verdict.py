@@ -12,6 +12,7 @@ from typing import Any, Literal
 
 from scipy.special import ndtr
 
+from analysis.arrays import NORMAL_95
 from station.errors import EXIT_FAIL, EXIT_MARGINAL, EXIT_NO_SIGNAL, EXIT_OK
 from station.results.derived import budgeted_values, derived_values
 from station.results.quantity import Quantities, Quantity, Value, value_at
@@ -30,7 +31,6 @@ RESULT = "result."
 """Before the place of a number in a result's JSON that is none of those that the measurement gives by name."""
 
 _FROM_BEST: tuple[Verdict, ...] = (PASS, MARGINAL, FAIL, ERROR, ABORTED)
-_K95 = 1.959963984540054
 
 
 @dataclass(frozen=True)
@@ -145,7 +145,7 @@ def _probability_inside(measured: Value, low: float, high: float) -> float:
         if not math.isfinite(end):
             return 0.0 if end < 0 else 1.0
         away = end - measured.value
-        width = (measured.high_95 - measured.value if away >= 0 else measured.value - measured.low_95) / _K95
+        width = (measured.high_95 - measured.value if away >= 0 else measured.value - measured.low_95) / NORMAL_95
         if width <= 0:
             return 1.0 if away >= 0 else 0.0
         return float(ndtr(away / width))

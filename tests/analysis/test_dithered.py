@@ -12,7 +12,18 @@ K, SAMPLES, FINER = 2000.0, 2500, 8
 
 
 def records(
-    rng, count, *, lock_in, phase, swing=100.0, dither=400.0, bias=0.7, periods=2.0, jitter=0.01, wave=np.cos
+    rng,
+    count,
+    *,
+    lock_in,
+    phase,
+    swing=100.0,
+    dither=400.0,
+    periods=2.0,
+    jitter=0.01,
+    wave=np.cos,
+    gain_corner=0.0,
+    pole=0.0,
 ):
     """Volts (count, SAMPLES) in eight bits, and the sample interval: fourth-order Runge and Kutta."""
     step = periods / dither / SAMPLES / FINER
@@ -25,17 +36,21 @@ def records(
 
     pull = 2 * np.pi * K * np.broadcast_to(lock_in, count)
     psi, seen, after = rng.uniform(0, 2 * np.pi, count), np.empty((count, SAMPLES)), turning(0.0)
+    light, behind = np.zeros(count), np.zeros(count)
     for number in range(SAMPLES * FINER):
+        volts = (1 + light) * np.sin(psi) + 0.003 * np.cos(2 * psi)
+        behind = volts + (behind - volts) * np.exp(-2 * np.pi * pole * step) if pole and number else volts
         if number % FINER == 0:
-            seen[:, number // FINER] = psi
+            seen[:, number // FINER] = behind
+        if gain_corner:  # both beams follow the coupling, (2.12)
+            light += step * (pull * np.cos(psi + phase) - 2 * np.pi * gain_corner * light)
         before, middle, after = after, turning((number + 0.5) * step), turning((number + 1) * step)
         one = before - pull * np.sin(psi + phase)
         two = middle - pull * np.sin(psi + step / 2 * one + phase)
         three = middle - pull * np.sin(psi + step / 2 * two + phase)
         four = after - pull * np.sin(psi + step * three + phase)
         psi = psi + step / 6 * (one + 2 * two + 2 * three + four)
-    volts = np.sin(seen) + 0.003 * np.cos(2 * seen)
-    return np.round(90 * volts + 0.6 * rng.standard_normal(volts.shape)) / 90, step * FINER
+    return np.round(90 * seen + 0.6 * rng.standard_normal(seen.shape)) / 90, step * FINER
 
 
 @pytest.fixture(scope="module")
@@ -59,6 +74,19 @@ def test_each_record_holds_what_it_says(run):
     wanted = true * np.exp(1.1j)
     apart = np.minimum(np.abs(each.coupling - wanted), np.abs(each.coupling + np.conj(wanted)))
     assert np.all(apart[usable] < 5 * each.lock_in_rate_u[usable])
+
+
+@pytest.mark.parametrize(("gain_corner", "pole"), [(3000.0, 0.0), (12_000.0, 0.0), (0.0, 7e5), (5000.0, 1.5e6)])
+def test_light_that_follows_and_a_slow_receiver_are_no_lock_in(gain_corner, pole):
+    rng = np.random.default_rng(23)
+    true = np.exp(rng.uniform(np.log(0.03), np.log(0.2), 24))
+    volts, interval = records(rng, 24, lock_in=true, phase=0.6, gain_corner=gain_corner, pole=pole, periods=1.6)
+    each = estimate_dithered(volts, interval, scale_factor=K, dither_frequency=401.0)
+    usable = (each.flags & ~int(DitherFlag.NOT_SIGNIFICANT)) == 0
+    assert usable.sum() >= 20
+    off = ((each.lock_in_rate - true) / each.lock_in_rate_u)[usable]
+    assert np.max(np.abs(off)) < 3.5
+    assert np.sqrt(np.mean(off**2)) < 1.4
 
 
 def test_half_a_period_may_do():

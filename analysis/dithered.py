@@ -43,6 +43,7 @@ _STEADY_ROUNDS = 2
 _SMOOTH, _BEATS = 48, 2.5  # samples over which the phase is averaged, and beats that this has to hold
 _LAGS, UNLIKELY, SIGNIFICANT = 20, 0.001, 3.3
 _LEAST_GAIN, _ROUNDS = 0.1, 40
+_PERIODS_TO_SEE = 1.5  # of a dither whose amplitude may change: with fewer its size and the bias are one
 _CIRCLE = np.stack([np.cos(np.linspace(0, 2 * np.pi, 181)), np.sin(np.linspace(0, 2 * np.pi, 181))], axis=-1)
 _GAIN_CORNER, _GAIN_CORNER_U = math.log(2 * math.pi * 1e4), 2.0  # ln of rad/s: 1.4 to 74 kHz
 
@@ -71,7 +72,7 @@ class DitheredEstimate:
     lock_in_rate, lock_in_rate_u, lock_in_rate_low_95, lock_in_rate_high_95 : (n,) deg/s, by the noise alone
     coupling : (n,) complex, deg/s, WL exp(i b) of (1); or that of the other sense, -WL exp(-i b)
     coupling_covariance : (n, 2, 2) of its real and imaginary part
-    dither_rate, dither_frequency : (n,) deg/s, mean amplitude W_D of the dither, and Hz
+    dither_rate, dither_frequency : (n,) deg/s, mean amplitude W_D of the dither, nan in less than 1.5 periods; Hz
     noise_rms : (n,) volts, what the fit leaves
     flags : (n,) bits of `DitherFlag`
     """
@@ -160,50 +161,76 @@ def combine_dithered(each: DitheredEstimate) -> DitheredEstimate:
     if not rows.size:
         raise NoFit("no record of a dithered gyro that could be used")
     weights = np.asarray(np.linalg.inv(each.coupling_covariance[rows]), dtype=np.float64)
-    mirror = np.array([[-1.0, 1.0], [1.0, -1.0]])
     own = np.stack([each.coupling[rows].real, each.coupling[rows].imag], axis=-1)
-    other, other_weights = own * np.array([-1.0, 1.0]), weights * -mirror
-    # of two answers for each record that which agrees with the others; where they begin does not matter
-    tried = [
-        _agreeing(begin, (own, weights), (other, other_weights))
-        for begin in own[np.argsort(each.lock_in_rate_u[rows])[:3]]
-    ]
-    left, mean, covariance = min(tried, key=lambda one: one[0])
-    freedom = 2 * (rows.size - 1)
-    flags = 0
+    # where the search begins does not matter much: at the clearest records
+    tried = [_mixed(begin, own, weights) for begin in own[np.argsort(each.lock_in_rate_u[rows])[:3]]]
+    mean, covariance, left = min(tried, key=lambda one: float(_unlikeliness(one[0][np.newaxis], own, weights)[0]))
+    freedom, flags, wider = 2 * (rows.size - 1), 0, 1.0
     if freedom and float(scipy.special.chdtrc(freedom, left)) < UNLIKELY:
-        covariance, flags = covariance * (left / freedom), int(DitherFlag.MISFIT)
-    z = np.array([complex(*mean)])
-    size, u, low, high = _size(z, covariance[np.newaxis])
-    flags |= int(DitherFlag.NOT_SIGNIFICANT) if size[0] < SIGNIFICANT * u[0] else 0
+        wider, flags = left / freedom, int(DitherFlag.MISFIT)
+    low, high = _interval(mean, covariance, own, weights, NORMAL_95**2 * wider)
+    value, u = min(max(math.hypot(*mean), low), high), (high - low) / (2 * NORMAL_95)
+    flags |= int(DitherFlag.NOT_SIGNIFICANT) if value < SIGNIFICANT * u else 0
+    whole = each.dither_rate[rows][np.isfinite(each.dither_rate[rows])]
     return DitheredEstimate(
-        size,
-        u,
-        low,
-        high,
-        z,
-        covariance[np.newaxis],
-        np.array([each.dither_rate[rows].mean()]),
+        np.array([value]),
+        np.array([u]),
+        np.array([low]),
+        np.array([high]),
+        np.array([complex(*mean)]),
+        wider * covariance[np.newaxis],
+        np.array([whole.mean() if whole.size else math.nan]),
         np.array([each.dither_frequency[rows].mean()]),
         np.array([math.sqrt(np.mean(each.noise_rms[rows] ** 2))]),
         np.array([flags]),
     )
 
 
-def _agreeing(
-    begin: Floats, own: tuple[Floats, Floats], other: tuple[Floats, Floats]
-) -> tuple[float, Floats, Floats]:
-    """Chi-square, mean (2,) and covariance of records, each with the answer that is nearer to the mean."""
-    mean = begin
-    for _ in range(ROUNDS):
-        first, second = (np.einsum("ni,nij,nj->n", one - mean, weight, one - mean) for one, weight in (own, other))
-        turned = first > second
-        chosen = np.where(turned[:, np.newaxis], other[0], own[0])
-        weights = np.where(turned[:, np.newaxis, np.newaxis], other[1], own[1])
-        covariance = np.linalg.inv(weights.sum(axis=0))
-        mean = covariance @ np.einsum("nij,nj->i", weights, chosen)
-    apart = chosen - mean
-    return float(np.einsum("ni,nij,nj->", apart, weights, apart)), np.asarray(mean), covariance
+_MIRROR = np.array([-1.0, 1.0])
+
+
+def _chi_squares(points: Floats, own: Floats, weights: Floats) -> tuple[Floats, Floats]:
+    """Of n records at points (k, 2): with their answers, and with those of the other sense, (n, k) each."""
+    turned = weights * np.outer(_MIRROR, _MIRROR)
+    pairs = ((points - own[:, np.newaxis], weights), (points - (own * _MIRROR)[:, np.newaxis], turned))
+    first, second = (np.einsum("nki,nij,nkj->nk", apart, weight, apart) for apart, weight in pairs)
+    return first, second
+
+
+def _unlikeliness(points: Floats, own: Floats, weights: Floats) -> Floats:
+    """-2 ln of the likelihood of points (k, 2), where either answer of a record may be the right one: (k,)."""
+    first, second = _chi_squares(points, own, weights)
+    return np.asarray(-2 * np.sum(np.logaddexp(-first / 2, -second / 2), axis=0))
+
+
+def _mixed(begin: Floats, own: Floats, weights: Floats) -> tuple[Floats, Floats, float]:
+    """Mean and covariance of records whose sense is not known, each answer by its share, and chi-square."""
+    mean, turned = begin, weights * np.outer(_MIRROR, _MIRROR)
+    for _ in range(_MOST_ROUNDS):
+        first, second = (chi[:, 0] for chi in _chi_squares(mean[np.newaxis], own, weights))
+        share = scipy.special.expit((second - first) / 2)
+        both = share[:, np.newaxis, np.newaxis] * weights, (1 - share)[:, np.newaxis, np.newaxis] * turned
+        covariance = np.linalg.inv((both[0] + both[1]).sum(axis=0))
+        pulls = np.einsum("nij,nj->i", both[0], own) + np.einsum("nij,nj->i", both[1], own * _MIRROR)
+        before, mean = mean, covariance @ pulls
+        if np.max(np.abs(mean - before)) < 1e-6 * math.sqrt(float(np.trace(covariance))):
+            break
+    return np.asarray(mean), covariance, float(np.sum(share * first + (1 - share) * second))
+
+
+def _interval(mean: Floats, covariance: Floats, own: Floats, weights: Floats, limit: float) -> tuple[float, float]:
+    """Sizes whose likelihood at the best phase is less than `limit` below the largest."""
+    size, reach = math.hypot(*mean), _REACH * math.sqrt(float(np.linalg.eigvalsh(covariance)[-1]) * limit)
+    sizes = np.linspace(max(size - reach, 0.0), size + reach, _SIZES)
+    window = min(reach / size, math.pi / 2) if size > 0 else math.pi / 2
+    phases = math.atan2(mean[1], mean[0]) + np.linspace(-window, window, _SIZES)
+    circle = np.stack([np.cos(phases), np.sin(phases)], axis=-1)
+    unlikely = np.array([np.min(_unlikeliness(one * circle, own, weights)) for one in sizes])
+    inside = np.flatnonzero(unlikely - np.min(unlikely) < limit)
+    return float(sizes[inside[0]]), float(sizes[inside[-1]])
+
+
+_MOST_ROUNDS, _SIZES, _REACH = 300, 161, 2.5
 
 
 def lock_in_of_random_walk(random_walk: float, *, scale_factor: float, dither_rate: float) -> float:
@@ -394,7 +421,7 @@ def _fitted(volts: Floats, motion: _Motion, parameters: Floats, start: float, di
     noise = math.sqrt(float(left[:count] @ left[:count]) / (count - values.size))
     if noise > FOLLOWED * abs(values[1]):
         return _Record.failed(DitherFlag.NOT_FOLLOWED)
-    whole = count * motion.step * FINER * dither >= 1
+    whole = count * motion.step * FINER * dither >= _PERIODS_TO_SEE
     return _Record(
         complex(*values[-8:-6]),
         noise**2 * covariance[-8:-6, -8:-6],

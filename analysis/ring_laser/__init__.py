@@ -10,5 +10,5 @@ from analysis.ring_laser.detector import (
     signal_bounds,
     smooth_interval,
 )
-from analysis.ring_laser.gyro import Gyro, axis_rate_on_table, beat_phase_on_table
+from analysis.ring_laser.gyro import Dither, DitheredFringe, Gyro, axis_rate_on_table, beat_phase_on_table
 from analysis.ring_laser.two_mode_laser import SteadyBeat, TwoModeLaser, Winking, steady_beat, symmetric_laser

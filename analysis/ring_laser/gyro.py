@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import bisect
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import pairwise
 from typing import Protocol
 
 import numpy as np
+import scipy.signal
 from numpy.polynomial import chebyshev
 from numpy.typing import ArrayLike, NDArray
 
@@ -323,6 +324,97 @@ def _slew_phase(gyro: Gyro, segment: RateMotion, end: float) -> tuple[Floats, Fl
     frequency = gyro.beat_frequency(_rate(gyro, segment, grid)) * gyro.drift(grid)
     steps = 0.5 * (frequency[1:] + frequency[:-1]) * np.diff(grid)
     return grid, 2 * np.pi * np.concatenate([[0.0], np.cumsum(steps)])
+
+
+# --------------------
+# A gyro whose body dithers: no beat is steady, and the phase is integrated in time where it is looked at
+
+
+@dataclass(frozen=True)
+class Dither:
+    """Motion of the body: amplitude cos(2 pi f t), with another amplitude in every period."""
+
+    rate: float  # peak, deg/s
+    frequency: float  # Hz
+    noise: float = 0.0  # of the amplitude, as a share of it
+    seed: int = 0
+
+    def rate_at(self, times: Floats) -> Floats:
+        """Rate of the body in deg/s at absolute times in s."""
+        cycles = times * self.frequency
+        period = np.floor(cycles)
+        whole, place = period.astype(np.int64), cycles - period
+        first = int(whole.min()) - 1
+        known = np.array([self._amplitude(number) for number in range(first, int(whole.max()) + 3)])
+        before, begin, end, after = (known[whole - first + n] for n in (-1, 0, 1, 2))
+        slopes = (end - before) / 2, (after - begin) / 2
+        bent = begin + place * slopes[0] + place**2 * (3 * (end - begin) - 2 * slopes[0] - slopes[1])
+        bent += place**3 * (2 * (begin - end) + slopes[0] + slopes[1])
+        return np.asarray(bent * np.cos(2 * np.pi * place))
+
+    def _amplitude(self, number: int) -> float:
+        draw = np.random.default_rng([self.seed, number & 0xFFFFFFFF]).standard_normal()
+        return self.rate * (1 + self.noise * float(draw))
+
+
+class DitheredFringe:
+    """exp(i (phi + beta)) (1 + m) of a dithered gyro, m being the light that follows the coupling (2.12).
+
+    Picard's rounds for phi = integral of 2 pi K [W - WL sin(phi + beta)] over a stretch about the times that are
+    asked for, at `_POINTS_A_BEAT` steps of the fastest beat. The next stretch goes on from it; after a pause of
+    more than a stretch the phase is another one.
+    """
+
+    def __init__(self, gyro: Gyro, dither: Dither, bias: Callable[[Floats], Floats], pole_hz: float) -> None:
+        self._gyro, self._dither, self._bias, self._pole_hz = gyro, dither, bias, pole_hz
+        self._times = self._phases = self._light = np.zeros(1)
+
+    def __call__(self, times: Floats) -> Complexes:
+        """Of absolute times in s, behind the receiver's pole; without lock-in where they span too much."""
+        first, last = float(times.min()), float(times.max())
+        if not (self._times[0] <= first and last <= self._times[-1]):
+            self._go_on(first, last)
+        phase = np.interp(times, self._times, self._phases) + self._gyro.backscatter_phase
+        light = np.interp(times, self._times, self._light)
+        beat = self._gyro.scale_factor * (self._dither.rate_at(times) + self._bias(times))
+        return np.asarray(np.exp(1j * phase) * (1 + light) / (1 + 1j * beat / self._pole_hz))
+
+    def _go_on(self, first: float, last: float) -> None:
+        gyro, reach = self._gyro, max(last - first, 2 / self._dither.frequency)
+        begin, end = first - reach, last + 3 * reach
+        fastest = gyro.scale_factor * (self._dither.rate * (1 + 4 * self._dither.noise) + gyro.lock_in_rate)
+        points = min(math.ceil((end - begin) * fastest * _POINTS_A_BEAT), _MOST_POINTS)
+        times, step = np.linspace(begin, end, points, retstep=True)
+        start = float(np.interp(begin, self._times, self._phases))
+        if not self._times[0] <= begin <= self._times[-1]:
+            draw = np.random.default_rng([self._dither.seed, int(begin * 1e6) & 0xFFFFFFFF])
+            start = float(draw.uniform(0, 2 * np.pi))
+        bias = np.interp(times, times[[0, -1]], self._bias(times[[0, -1]]))
+        free = start + 2 * np.pi * gyro.scale_factor * _integral_from(self._dither.rate_at(times) + bias, step)
+        pull = 2 * np.pi * gyro.scale_factor * gyro.lock_in_rate * (points < _MOST_POINTS)
+        phases, light = free, np.zeros(points)
+        for _ in range(_PICARD_ROUNDS):
+            change = free - pull * _integral_from(np.sin(phases + gyro.backscatter_phase), step) - phases
+            phases = phases + change
+            if np.max(np.abs(change)) < _PICARD_ENDS:
+                break
+        if gyro.winking is not None and pull:
+            corner = 2 * np.pi * gyro.winking.gain_corner_hz
+            kept = math.exp(-corner * step)
+            drive = pull / corner * (1 - kept) * np.cos(phases + gyro.backscatter_phase)
+            light = np.asarray(scipy.signal.lfilter([1.0], [1.0, -kept], drive))
+        self._times, self._phases, self._light = times, phases, light
+
+
+_POINTS_A_BEAT, _MOST_POINTS = 24, 4_000_000
+_PICARD_ROUNDS, _PICARD_ENDS = 60, 1e-7  # rad
+
+
+def _integral_from(values: Floats, step: float) -> Floats:
+    """Integral from the first time on, by trapezia."""
+    total = np.zeros_like(values)
+    np.cumsum((values[1:] + values[:-1]) * (step / 2), out=total[1:])
+    return total
 
 
 # --------------------

@@ -121,6 +121,11 @@ def _bench_options(function: F) -> F:
 
 @click.command("measure")
 @_bench_options
+@click.option(
+    "--dither",
+    type=click.Choice(["on", "off"]),
+    help="on: the gyro's body dithers, as [dither] of the settings says.",
+)
 @report_option
 def measure(**given: Any) -> int:
     """Measure the lock-in rate: acquire, save, analyse, report.
@@ -134,7 +139,24 @@ def measure(**given: Any) -> int:
 
     Ctrl-C keeps the records taken so far; --resume goes on with such a run.
     """
-    return run_measurement("measure", _with_scale_factor(given), places=_PLACES)
+    given, places = _with_scale_factor(given), _PLACES | {"dither": "dither.on"}
+    if not _dithers(given):
+        return run_measurement("measure", given, places=places)
+    if given["rates"] is not None:
+        raise click.UsageError("--rates: a gyro that dithers is measured at rest, or as it turns already")
+    return run_measurement("dither", given, places=places | {"records": "dither.records"})
+
+
+def _dithers(given: Mapping[str, Any]) -> bool:
+    """Whether the gyro's body dithers: an option says so, the run that is gone on with, or the settings."""
+    from station.lock_in.settings import load_settings
+    from station.runs.store import open_run
+
+    if given["resume"] is not None:
+        return open_run(given["resume"]).facts.command == "dither"
+    if given["dither"] is not None:
+        return bool(given["dither"] == "on")
+    return load_settings(given["config"], overrides=overrides(given, {"resource": "scope.resource"})).dither.on
 
 
 @click.command("acquire")

@@ -22,7 +22,13 @@ from station.measurements import limits_of
 from station.results.numbers import BEAT_FREQUENCY, BIAS_RATE, DEAD_BAND_WIDTH, LOCK_IN_RATE
 from station.ring_laser.bench import Beats, beats_at, open_for
 from station.ring_laser.records import Bench, acquisition_records, set_up, take_record
-from station.ring_laser.settings import BeamsSettings, RingLaserSettings, ScopeSettings, SimulationSettings
+from station.ring_laser.settings import (
+    BeamsSettings,
+    DitherSettings,
+    RingLaserSettings,
+    ScopeSettings,
+    SimulationSettings,
+)
 from station.runs.acquisition import Acquisition
 from station.runs.store import NewRecord, RunWriter
 from station.scope.autoset import KnobPositions, ScreenShape, find_beat, oscilloscope_steps
@@ -86,6 +92,11 @@ class DeadBandSettings(SettingsSection):
     def beams(self) -> BeamsSettings:
         """A sweep looks at the beat alone."""
         return BeamsSettings()
+
+    @property
+    def dither(self) -> DitherSettings:
+        """A sweep needs a gyro at rest."""
+        return DitherSettings()
 
 
 def _adapt(values: dict[str, Any]) -> None:

@@ -21,7 +21,13 @@ from analysis.single_beams import BeamsKnowledge
 from station.controllers import ControllersSettings, with_controllers
 from station.errors import SettingsError, UsageError
 from station.measurements import limits_of
-from station.ring_laser.settings import BeamsSettings, RingLaserSettings, ScopeSettings, SimulationSettings
+from station.ring_laser.settings import (
+    BeamsSettings,
+    DitherSettings,
+    RingLaserSettings,
+    ScopeSettings,
+    SimulationSettings,
+)
 from station.settings import (
     Finite,
     Limits,
@@ -122,6 +128,7 @@ class Settings(SettingsSection):
     output: OutputSettings
     budget: BudgetSettings | None = None  # runs of earlier versions were saved without it
     beams: BeamsSettings = BeamsSettings()
+    dither: DitherSettings = DitherSettings()
     controllers: ControllersSettings | None = None
     simulation: SimulationSettings | None = None
     limits: Limits = Limits()
@@ -282,11 +289,14 @@ def _numbers(line: str) -> ResponseRow | None:
 
 RING_LASER = SettingsKind(
     sections=Settings,
-    limits=lambda: limits_of("measure"),
+    limits=lambda: limits_of("measure", "dither"),
     shipped=lambda given: "bench" if _resource(given) else "simulated",
     adapt=_adapt,
     check=_check,
-    knowledge=("front_end", "budget.*", "limits.*", "beams.*", "table.known_tilt_deg", "table.known_tilt_u_deg"),
+    knowledge=(
+        *("front_end", "budget.*", "limits.*", "beams.*", "table.known_tilt_deg", "table.known_tilt_u_deg"),
+        *("dither.frequency_hz", "dither.random_walk_deg_per_sqrt_h", "dither.random_walk_u_deg_per_sqrt_h"),
+    ),
 )
 
 

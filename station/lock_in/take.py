@@ -32,6 +32,7 @@ from station.lock_in.settings import Settings, TableSettings, check_scale_factor
 from station.results.result import with_prefix
 from station.ring_laser.bench import Beats, beats_at, beats_of_other_sense, open_for
 from station.ring_laser.records import Bench, acquisition_records, set_up, take_record
+from station.ring_laser.settings import DitherSettings
 from station.runs.acquisition import Acquisition
 from station.runs.progress import Progress
 from station.runs.store import RunWriter, SavedRecord
@@ -53,7 +54,8 @@ tilt."""
 def take(settings: Settings, session: Acquisition) -> None:
     """Do the whole experiment and save it; of a run that was cut short, what is missing."""
     check_scale_factor(settings)
-    take_on(open_for(session, settings), settings, session)
+    at_rest = settings.model_copy(update={"dither": DitherSettings()})  # `station.dithered` is for the other one
+    take_on(open_for(session, at_rest), settings, session)
 
 
 def take_on(bench: Bench, settings: Settings, session: Acquisition) -> None:

@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 
 from analysis.ring_laser import (
     Detector,
+    Dither,
+    DitheredFringe,
     Gyro,
     NoisySignal,
     Winking,
@@ -86,7 +88,9 @@ def build_instruments(settings: BenchSettings, clock: Clock, *, times_resumed: i
     if detector.filtered or gyro.winking is not None:
         table.when_steady = lambda steady: _prepare(gyro, detector, table, steady)
     signals = {settings.scope.channel: _signal(gyro, detector, table, simulation, 0)}
-    if settings.scope.quadrature_channel:
+    if settings.dither.on:
+        signals = {settings.scope.channel: _dithered(gyro, detector, table, simulation)}
+    elif settings.scope.quadrature_channel:
         added = simulation.contaminants
         further = math.pi / 2 + math.radians(added.quadrature_phase_error_deg)
         cosine = replace(
@@ -199,6 +203,24 @@ def _signal(
 
     noise = simulation.detector_noise_v
     return NoisySignal(silent, noise, simulation.seed, channel, interval, bounds, above, mean)
+
+
+def _dithered(
+    gyro: Gyro, detector: Detector, table: TurningTable, simulation: SimulationSettings
+) -> Callable[[Array], Array]:
+    """The beat of a gyro whose body dithers, at a receiver that is fast enough for it."""
+    moves = simulation.dither
+    dither = Dither(moves.rate_dps, moves.frequency_hz, 0.01 * moves.noise_percent, simulation.seed)
+
+    def bias(times: Array) -> Array:
+        return axis_rate_on_table(gyro, table.motion, times)
+
+    fringe = DitheredFringe(gyro, dither, bias, moves.bandwidth_hz)
+
+    def silent(times: Array) -> Array:
+        return detector.volts(fringe(times), gyro.backscatter_phase) * detector.swing(times)
+
+    return NoisySignal(silent, simulation.detector_noise_v, simulation.seed)
 
 
 def true_values(instruments: SimulatedInstruments) -> dict[str, float]:

@@ -45,6 +45,27 @@ class BeamsSettings(SettingsSection):
     bandwidth_hz: NotNegative = 0.0
 
 
+class DitherSettings(SettingsSection):
+    """A dither of the gyro's body, records of it, and the random walk that its counts have; 0: not known."""
+
+    on: bool = False
+    frequency_hz: NotNegative = 0.0
+    rate_dps: Positive = 100.0
+    periods: Annotated[float, Field(ge=0.6, le=20)] = 2.0
+    records: Annotated[int, Field(ge=1, le=10_000)] = 20
+    random_walk_deg_per_sqrt_h: NotNegative = 0.0
+    random_walk_u_deg_per_sqrt_h: NotNegative = 0.0
+
+
+class DitherMotionSettings(SettingsSection):
+    """The dither of a simulated bench, and the receiver that follows its beats."""
+
+    frequency_hz: Positive = 403.0
+    rate_dps: Positive = 100.0
+    noise_percent: Annotated[float, Field(ge=0, le=20)] = 2.0
+    bandwidth_hz: Positive = 2e6
+
+
 class BeamLightSettings(SettingsSection):
     """The single beams of a simulated bench."""
 
@@ -92,6 +113,7 @@ class SimulationSettings(SettingsSection):
     table_acceleration_dps2: Positive
     contaminants: ContaminantSettings = ContaminantSettings()
     beams: BeamLightSettings = BeamLightSettings()
+    dither: DitherMotionSettings = DitherMotionSettings()
 
 
 class TableMount(Protocol):
@@ -128,6 +150,10 @@ class BenchSettings(Protocol):
     @property
     def beams(self) -> BeamsSettings:
         """Photodiodes on the single beams."""
+
+    @property
+    def dither(self) -> DitherSettings:
+        """The dither of the gyro's body."""
 
     @property
     def simulation(self) -> SimulationSettings | None:

@@ -6,7 +6,7 @@ from scipy.interpolate import CubicSpline
 
 from analysis import combine_dithered, estimate_dithered, lock_in_of_random_walk
 from analysis.arrays import NoFit
-from analysis.dithered import DitherFlag
+from analysis.dithered import DitheredEstimate, DitherFlag
 
 K, SAMPLES, FINER = 2000.0, 2500, 8
 
@@ -111,6 +111,30 @@ def test_many_records_are_one_value():
     assert combine_dithered(turned).lock_in_rate[0] == pytest.approx(together.lock_in_rate[0], rel=1e-6)
     half = estimate_dithered(volts[:2], interval, scale_factor=K / 2, dither_frequency=398.0)
     assert half.lock_in_rate == pytest.approx(2 * each.lock_in_rate[:2], rel=1e-6)
+
+
+@pytest.mark.parametrize(("true", "angle"), [(0.01, 0.3), (0.01, 1.4), (0.003, 0.5), (0.05, 0.7)])
+def test_records_of_either_sense_make_no_lock_in_rate_of_noise(true, angle):
+    # each record alone does not tell which of its two answers is right: to take the nearer one would add noise
+    rng, held, off = np.random.default_rng(3), 0, []
+    for _ in range(40):
+        axes = rng.uniform(0, np.pi, 20)
+        turn = np.array([[np.cos(axes), -np.sin(axes)], [np.sin(axes), np.cos(axes)]]).transpose(2, 0, 1)
+        covariance = turn @ np.diag([0.005**2, 0.008**2]) @ turn.transpose(0, 2, 1)
+        noise = np.einsum("nij,nj->ni", np.linalg.cholesky(covariance), rng.standard_normal((20, 2)))
+        z = true * np.exp(1j * angle) + noise[:, 0] + 1j * noise[:, 1]
+        other = rng.random(20) < 0.5
+        z = np.where(other, -z.conj(), z)
+        covariance[other] *= [[1, -1], [-1, 1]]
+        nothing = np.full(20, 0.005)
+        each = DitheredEstimate(
+            abs(z), nothing, nothing, nothing, z, covariance, 1e4 * nothing, nothing, nothing, np.zeros(20, int)
+        )
+        made = combine_dithered(each)
+        held += bool(made.lock_in_rate_low_95[0] <= true <= made.lock_in_rate_high_95[0])
+        off.append(float((made.lock_in_rate[0] - true) / made.lock_in_rate_u[0]))
+    assert held >= 35
+    assert abs(np.mean(off)) < 0.55
 
 
 def test_what_cannot_be_followed_is_no_number():

@@ -25,7 +25,7 @@ RING_LASER = ("single", "several", "quadrature", "channel", "turning", "acquired
 FOG = {"table": "table", "logs": "table", "selfcal": "selfcal", "selfcal_by_table": "selfcal", "eps": "eps"}
 FOG |= {"figures": "figures", "witness": "witness", "allan": "allan", "threshold": "threshold"}
 FOG |= {"temperature": "temperature"}
-OTHERS = ("deadband", "locked", "cut_short")
+OTHERS = ("deadband", "dither", "locked", "cut_short")
 SN1, BAD = "SN1/2026-11-24T024838Z_001", "BAD/2026-11-24T024851Z_001"
 RECORD_FILES = ("record.json", "junit.xml", "limits.csv", "records.csv", "record.html")
 
@@ -85,7 +85,7 @@ def commands(group: str) -> Iterator[Command]:
             yield command(f"fog_{name}", "fog", test, f"runs/fog_{name}.sqlite", "--json", "--no-report")
             yield command(f"fog_{name}_words", "fog", test, f"runs/fog_{name}.sqlite", "--no-report")
     if group == "pages":
-        for name in (*RING_LASER, "deadband", *(f"fog_{one}" for one in FOG)):
+        for name in (*RING_LASER, "deadband", "dither", *(f"fog_{one}" for one in FOG)):
             page = f"{name}.html"
             yield command(f"report_{name}", "report", f"runs/{name}.sqlite", "-o", page, files=(page,))
     if group == "files":

@@ -95,7 +95,7 @@ FIBRE_GYRO_TESTS = {
 # what a run is marked with: the module that holds MEASUREMENT
 MEASUREMENTS = {
     "measure": "station.lock_in.measurement",
-    "dither": "station.dithered",
+    "dither": "station.lock_in.dithered",
     "deadband": "station.dead_band.measurement",
     **{name: f"station.fibre_gyro.{name}" for name in FIBRE_GYRO_TESTS},
     "program": "station.program",

@@ -187,8 +187,7 @@ def export_command(
     give the same result. Exit code 2 if something could not be read: the
     rest is written.
     """
-    from station.datasets.data_set import RECORDS_OF_PART, check_target, export
-    from station.datasets.tek_csv import write_tek_files
+    from station.datasets.data_set import RECORDS_OF_PART, check_target, export, write_tek_files
     from station.errors import EXIT_OK, EXIT_USAGE
     from station.shell.options import shown
     from station.sources.batches import NO_RECORD

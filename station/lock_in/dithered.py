@@ -94,7 +94,7 @@ def evaluate(run: SavedRun, settings: Settings, choices: Mapping[str, Any]) -> D
         np.array([wave.volts for wave in waves]),
         interval,
         scale_factor=factor,
-        dither_frequency=settings.dither.frequency_hz,
+        dither_frequency=_frequency(settings),
         clipped=np.array([wave.clipped_samples for wave in waves]),
     )
     names = tuple(one.key for one in intact)
@@ -302,7 +302,7 @@ def facts(found: DitheredEvaluation, run: SavedRun, settings: Settings) -> list[
         ("instrument", identity.get("text", "not known")),
         ("resource", settings.scope.resource or "simulated bench"),
         ("record", f"{with_prefix(len(wave) * wave.sample_interval, 's')}, {periods:.3g} dither periods"),
-        ("dither as stated", f"{settings.dither.rate_dps:g} deg/s at {settings.dither.frequency_hz:g} Hz"),
+        ("dither as stated", f"{settings.dither.rate_dps:g} deg/s at {_frequency(settings):g} Hz"),
         ("scale factor K", f"{found.scale_factor:g} pulses/deg"),
     ]
     return [FactTable("Records", rows)]
@@ -351,28 +351,35 @@ def take_on(bench: Bench, settings: Settings, session: Acquisition, base: float)
 
 
 def time_base(settings: Settings) -> float:
-    """Return the time base, s/div: so many dither periods as asked for, if the fastest beat lets them.
+    """Return the time base, s/div: about the dither periods asked for, if the fastest beat lets them.
 
     Raises
     ------
     UsageError
         The dither's frequency is not stated, or no time base shows half a period of it without aliases.
     """
-    dither, factor = settings.dither, settings.gyro.scale_factor_pulses_per_deg
-    if not dither.frequency_hz:
-        raise UsageError("dither.frequency_hz is not stated: the frequency of the dither, to 3 % ([dither])")
+    dither, frequency, factor = settings.dither, _frequency(settings), settings.gyro.scale_factor_pulses_per_deg
     fastest = factor * _SPARE * dither.rate_dps
-    longest = min(dither.periods / dither.frequency_hz, POINTS * LONGEST_STEP / fastest) / DIVISIONS
-    fitting = [base for base in TIME_BASES if base <= longest * 1.001]
-    if not fitting or fitting[-1] * DIVISIONS * dither.frequency_hz < _LEAST_PERIODS:
+    longest = min(_MORE * dither.periods / frequency, POINTS * LONGEST_STEP / fastest)
+    fitting = [base for base in TIME_BASES if base * DIVISIONS <= longest]
+    if not fitting or fitting[-1] * DIVISIONS * frequency < _LEAST_PERIODS:
         raise UsageError(
-            f"a beat of up to {fastest:.3g} Hz and a dither of {dither.frequency_hz:g} Hz: no time base shows "
+            f"a beat of up to {fastest:.3g} Hz and a dither of {frequency:g} Hz: no time base shows "
             f"{_LEAST_PERIODS:g} dither periods with two samples a beat (dither.rate_dps, dither.periods)"
         )
     return fitting[-1]
 
 
-_LEAST_PERIODS = 0.6
+def _frequency(settings: Settings) -> float:
+    """Frequency of the dither in Hz, as it is stated or simulated."""
+    if settings.dither.frequency_hz:
+        return settings.dither.frequency_hz
+    if settings.simulation is None:
+        raise UsageError("dither.frequency_hz is not stated: the frequency of the dither, to 3 % ([dither])")
+    return settings.simulation.dither.frequency_hz
+
+
+_LEAST_PERIODS, _MORE = 0.6, 1.25  # than asked for, where the steps of the time base want it
 
 MEASUREMENT = Measurement(
     name=PURPOSE,

@@ -95,7 +95,7 @@ def test_it_is_gone_on_with(taken: Path) -> None:
 @pytest.mark.parametrize(
     ("settings", "options", "says"),
     [
-        ("[dither]\nfrequency_hz = 0.0\n", "", "dither.frequency_hz is not stated"),
+        ("[gyro]\nscale_factor_pulses_per_deg = 2e3\n", "--resource TCPIP::127.0.0.1::1::SOCKET", "is not stated"),
         ("[dither]\nrate_dps = 9000.0\n", "", "no time base shows"),
         ("[dither]\nperiods = 0.2\n", "", "dither.periods"),
         ("", "--rates 3,8", "--rates"),

@@ -127,8 +127,8 @@ def test_the_house_can_be_taken_in() -> None:
     every = {name: count for folder in PACKAGES for name, count in lines(folder).items()}
     classes = [node for tree in ours().values() for node in ast.walk(tree) if isinstance(node, ast.ClassDef)]
     assert len(every) <= 269
-    assert sum(every.values()) <= 82_847
-    assert len(classes) <= 730
+    assert sum(every.values()) <= 83_497
+    assert len(classes) <= 735
 
 
 def test_the_name_of_a_class_means_one_thing() -> None:

@@ -141,6 +141,8 @@ def evaluate(run: SavedRun, settings: Settings, choices: Mapping[str, Any]) -> D
     below = found.lock_in_rate - found.by_random_walk
     if below > NORMAL_95 * math.hypot(found.lock_in_rate_u, found.by_random_walk_u or 0.0):
         flags.append("walk_too_small")
+    if seen > _LARGER * settings.dither.rate_dps:
+        flags.append("dither_larger")
     return replace(found, flags=tuple(flags))
 
 
@@ -152,6 +154,7 @@ def _common_share(settings: Settings) -> float:
     return math.hypot(factor_u or SCALE_FACTOR_LIMIT / math.sqrt(3), 1e-6 * clock / math.sqrt(3))
 
 
+_LARGER = 1.1  # than stated, by K: a dither is not known better
 _DAMAGED = "its checksum is not that of the saved record"
 _WHY = {
     DitherFlag.TOO_SHORT: "it holds less than half a dither period",
@@ -197,6 +200,7 @@ def result(found: DitheredEvaluation, run: SavedRun, settings: Settings) -> Resu
         "misfit": "The records differ by more than their noise: the coupling may have moved. Its u is enlarged.",
         "not_significant": "The lock-in rate does not stand out of its uncertainty: take more records.",
         "few_usable": "More than half of the records cannot be used; the first reason stands with each.",
+        "dither_larger": f"The dither is {found.dither_rate:.4g} deg/s by K, more than [dither] states: one is wrong.",
         "walk_too_small": f"The stated random walk allows {by_walk}, less than the records show: one is wrong.",
     }
     truth, beside = run.facts.truth, document(found, QUANTITIES[1].quantities)

@@ -58,6 +58,7 @@ def test_it_is_evaluated_again_and_beside_a_random_walk(taken: Path) -> None:
     assert again["lock_in_rate_dps"] == said["lock_in_rate_dps"]
     half = json.loads(gyrolock(taken, f"analyze {said['run']} --scale-factor 1000 --json").stdout)
     assert half["lock_in_rate_dps"] == pytest.approx(2 * said["lock_in_rate_dps"], rel=1e-6)
+    assert (said["flags"], half["flags"]) == ([], ["dither_larger"])
     for share, flagged in ((1.3, False), (0.2, True)):
         walk = share * said["random_walk_deg_per_sqrt_h"]
         (taken / "walk.toml").write_text(

@@ -200,7 +200,7 @@ def result(found: DitheredEvaluation, run: SavedRun, settings: Settings) -> Resu
         "misfit": "The records differ by more than their noise: the coupling may have moved. Its u is enlarged.",
         "not_significant": "The lock-in rate does not stand out of its uncertainty: take more records.",
         "few_usable": "More than half of the records cannot be used; the first reason stands with each.",
-        "dither_larger": f"By K the dither is {found.dither_rate:.4g} deg/s, more than stated: one of them is wrong.",
+        "dither_larger": f"By K the dither is {found.dither_rate:.4g} deg/s, more than stated: one is wrong.",
         "walk_too_small": f"The stated random walk allows {by_walk}, less than the records show: one is wrong.",
     }
     truth, beside = run.facts.truth, document(found, QUANTITIES[1].quantities)

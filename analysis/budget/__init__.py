@@ -5,6 +5,8 @@ from analysis.budget.bench import (
     LATITUDE_LIMIT_DEG,
     NOTHING_BUT_RECORDS,
     PROBE_LIMIT,
+    SCALE_FACTOR_LIMIT,
+    TIME_BASE_LIMIT_PPM,
     BenchKnowledge,
     Bounded,
     OperatingPoint,

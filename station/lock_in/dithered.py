@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from analysis.arrays import NORMAL_95, NoFit
-from analysis.budget.bench import SCALE_FACTOR_LIMIT, TIME_BASE_LIMIT_PPM
+from analysis.budget import SCALE_FACTOR_LIMIT, TIME_BASE_LIMIT_PPM
 from analysis.dithered import (
     LONGEST_STEP,
     DitheredEstimate,

@@ -126,7 +126,7 @@ def evaluate(run: SavedRun, settings: Settings, choices: Mapping[str, Any]) -> D
         dither_frequency=float(made.dither_frequency[0]),
         random_walk=value / per_walk,
         by_random_walk=per_walk * stated if stated else math.nan,
-        by_random_walk_u=per_walk * stated_u if stated and stated_u else math.nan,
+        by_random_walk_u=per_walk * (stated_u or _WALK_U * stated) if stated else math.nan,
         noise_rms=float(made.noise_rms[0]),
         scale_factor=factor,
         each=each,
@@ -139,7 +139,7 @@ def evaluate(run: SavedRun, settings: Settings, choices: Mapping[str, Any]) -> D
     if 2 * len(spoilt) > len(names):
         flags.append("few_usable")
     below = found.lock_in_rate - found.by_random_walk
-    if below > NORMAL_95 * math.hypot(found.lock_in_rate_u, found.by_random_walk_u or 0.0):
+    if below > NORMAL_95 * math.hypot(found.lock_in_rate_u, found.by_random_walk_u):
         flags.append("walk_too_small")
     if seen > _LARGER * settings.dither.rate_dps:
         flags.append("dither_larger")
@@ -155,6 +155,7 @@ def _common_share(settings: Settings) -> float:
 
 
 _LARGER = 1.1  # than stated, by K: a dither is not known better
+_WALK_U = 0.1  # of a random walk whose uncertainty is not stated
 _DAMAGED = "its checksum is not that of the saved record"
 _WHY = {
     DitherFlag.TOO_SHORT: "it holds less than half a dither period",

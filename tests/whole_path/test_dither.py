@@ -59,10 +59,10 @@ def test_it_is_evaluated_again_and_beside_a_random_walk(taken: Path) -> None:
     half = json.loads(gyrolock(taken, f"analyze {said['run']} --scale-factor 1000 --json").stdout)
     assert half["lock_in_rate_dps"] == pytest.approx(2 * said["lock_in_rate_dps"], rel=1e-6)
     assert (said["flags"], half["flags"]) == ([], ["dither_larger"])
-    for share, flagged in ((1.3, False), (0.2, True)):
+    for share, flagged, known in ((1.3, False, 0.02), (0.2, True, 0.02), (0.2, True, 0.0), (0.9, False, 0.0)):
         walk = share * said["random_walk_deg_per_sqrt_h"]
         (taken / "walk.toml").write_text(
-            f"[dither]\nrandom_walk_deg_per_sqrt_h = {walk}\nrandom_walk_u_deg_per_sqrt_h = {0.02 * walk}\n"
+            f"[dither]\nrandom_walk_deg_per_sqrt_h = {walk}\nrandom_walk_u_deg_per_sqrt_h = {known * walk}\n"
         )
         beside = json.loads(gyrolock(taken, f"analyze {said['run']} --config walk.toml --json").stdout)
         assert beside["by_random_walk"]["lock_in_rate_dps"] == pytest.approx(

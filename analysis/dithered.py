@@ -37,10 +37,10 @@ HARMONICS = 3  # of the dither
 KNOTS = 3.0  # of its amplitude in a period
 FINER = 8  # steps of the integral in (1) for a sample
 LONGEST_STEP, ROUNDS, FOLLOWED = 0.45, 12, 0.3  # beats a sample; Gauss-Newton; rad that tracking may leave
-_WINDOW, _HOP, _PADDED = 64, 16, 4  # samples in which a beat is looked for, their distance, zero padding
+_WINDOWS, _PADDED = 20, 256  # parts of a dither period in which a beat is looked for; samples with zeros
 _DITHER_RANGE = np.linspace(0.97, 1.03, 25)  # of the stated dither frequency, in which it is looked for
-_STEADY_ROUNDS = 2
-_SMOOTH, _BEATS = 48, 2.5  # samples over which the phase is averaged, and beats that this has to hold
+_STEADY_ROUNDS, _ROUGHLY, _RIDGE = 2, 0.3, 0.03
+_SMOOTHED, _BEATS = 26, 1.8  # parts of a dither period over which the phase is averaged; beats that it has to hold
 _LAGS, UNLIKELY, SIGNIFICANT = 20, 0.001, 3.3
 _LEAST_GAIN, _ROUNDS = 0.1, 40
 _PERIODS_TO_SEE = 1.5  # of a dither whose amplitude may change: with fewer its size and the bias are one
@@ -331,7 +331,7 @@ def _estimated(volts: Floats, sample_interval: float, dither: float) -> _Record:
         return _Record.failed(DitherFlag.TOO_SHORT)
     if not np.ptp(volts) > 0:
         return _Record.failed(DitherFlag.NOT_FOLLOWED)
-    dither, bias, amplitude, phase = _by_beats(volts, sample_interval, dither)
+    (dither, bias, amplitude, phase), (times, frequency) = _by_beats(volts, sample_interval, dither)
     motion = _Motion(volts.size, sample_interval, dither)
     count = len(motion.splines)
     parameters = np.zeros(len(motion.rates))
@@ -340,7 +340,16 @@ def _estimated(volts: Floats, sample_interval: float, dither: float) -> _Record:
         amplitude * math.cos(phase),
         -amplitude * math.sin(phase),
     )
-    parameters, start, left = _followed(volts - volts.mean(), motion, parameters, sample_interval)
+    # of a dither whose amplitude changes the beats tell that too, though roughly
+    columns = motion.rates[:, np.rint((times / sample_interval + (volts.size - 1) / 2) * FINER).astype(np.intp)]
+    for _ in range(_STEADY_ROUNDS):
+        rate = parameters @ columns
+        off = np.sign(rate) * frequency - rate
+        near = np.abs(off) < _ROUGHLY * np.abs(rate)
+        rows = np.concatenate([columns[:, near].T, _RIDGE * math.sqrt(times.size) * np.eye(parameters.size)])
+        wanted = np.concatenate([off[near], np.zeros(parameters.size)])
+        parameters = parameters + np.linalg.lstsq(rows, wanted, rcond=None)[0]
+    parameters, start, left = _followed(volts - volts.mean(), motion, parameters, sample_interval, dither)
     if not left < FOLLOWED:
         return _Record.failed(DitherFlag.NOT_FOLLOWED)
     if np.max(np.abs(parameters @ motion.rates)) * sample_interval > LONGEST_STEP:
@@ -348,45 +357,61 @@ def _estimated(volts: Floats, sample_interval: float, dither: float) -> _Record:
     return _fitted(volts, motion, parameters, start, dither)
 
 
-def _by_beats(volts: Floats, sample_interval: float, dither: float) -> tuple[float, float, float, float]:
-    """Dither frequency, bias, amplitude (Hz of beat) and phase, by the frequency of the beat in short pieces."""
-    begins = np.arange(0, volts.size - _WINDOW + 1, _HOP)
-    window = np.hanning(_WINDOW + 2)[1:-1]
-    pieces = volts[begins[:, np.newaxis] + np.arange(_WINDOW)]
-    sizes = np.abs(np.fft.rfft((pieces - pieces.mean(axis=-1, keepdims=True)) * window, _PADDED * _WINDOW))
-    sizes[:, :6] = 0
+def _part(periods_a_sample: float, parts: int, most: int) -> int:
+    """Samples of a part of a dither period."""
+    return int(np.clip(1 / periods_a_sample / parts, 12, most))
+
+
+def _by_beats(
+    volts: Floats, sample_interval: float, dither: float
+) -> tuple[tuple[float, float, float, float], tuple[Floats, Floats]]:
+    """Dither frequency, bias, amplitude (Hz of beat), phase; times and frequencies of the beat in short pieces."""
+    long = _part(dither * sample_interval, _WINDOWS, 64)
+    begins = np.arange(0, volts.size - long + 1, long // 4)
+    pieces = volts[begins[:, np.newaxis] + np.arange(long)]
+    pieces = (pieces - pieces.mean(axis=-1, keepdims=True)) * np.hanning(long + 2)[1:-1]
+    sizes = np.abs(np.fft.rfft(pieces, _PADDED))
+    sizes[:, : 6 * 64 // long] = 0
     place = np.clip(sizes.argmax(axis=-1), 1, sizes.shape[1] - 2)
     before, top, after = (
         np.log(np.take_along_axis(sizes, (place + k)[:, np.newaxis], 1)[:, 0] + 1e-300) for k in (-1, 0, 1)
     )
     curved = before - 2 * top + after
     offset = 0.5 * (before - after) / np.where(curved < 0, curved, -1.0)
-    frequency = (place + offset) / (_PADDED * _WINDOW * sample_interval)
-    times = (begins + (_WINDOW - volts.size) / 2) * sample_interval
+    frequency = (place + offset) / (_PADDED * sample_interval)
+    times = (begins + (long - volts.size) / 2) * sample_interval
     clear = top > np.median(top) - math.log(2)
-    # f^2 is linear in the waves of the dither and of twice its frequency
-    fits = []
-    for share in _DITHER_RANGE:
-        turns = 2 * np.pi * share * dither * times
+
+    def squared(share: float) -> tuple[float, Floats]:
+        """What f^2, which is linear in the waves of the dither and of twice its frequency, leaves; their sizes."""
+        turns = 2 * np.pi * share * dither * times[clear]
         waves = np.stack(
             [np.ones_like(turns), *(wave(n * turns) for n in (1, 2) for wave in (np.cos, np.sin))], -1
         )
-        values = np.linalg.lstsq(waves[clear], frequency[clear] ** 2, rcond=None)[0]
-        fits.append((float(np.sum((waves @ values - frequency**2)[clear] ** 2)), share * dither, values))
-    _, dither, values = min(fits, key=lambda one: one[0])
+        values = np.linalg.lstsq(waves, frequency[clear] ** 2, rcond=None)[0]
+        return float(np.sum((waves @ values - frequency[clear] ** 2) ** 2)), values
+
+    costs = np.array([squared(share)[0] for share in _DITHER_RANGE])
+    best = int(np.clip(costs.argmin(), 1, costs.size - 2))
+    first, middle, last = costs[best - 1 : best + 2]
+    bend = first - 2 * middle + last
+    share = _DITHER_RANGE[best] + (0.5 * (first - last) / bend if bend > 0 else 0.0) * np.ptp(_DITHER_RANGE[:2])
+    share = float(np.clip(share, _DITHER_RANGE[0], _DITHER_RANGE[-1]))
+    values, dither = squared(share)[1], share * dither
     amplitude = max(math.sqrt(2 * math.hypot(values[3], values[4])), 1e-300)
     phase = 0.5 * math.atan2(-values[4], values[3])
     bias = (values[1] * math.cos(phase) - values[2] * math.sin(phase)) / (2 * amplitude)
-    return dither, float(bias), amplitude, phase
+    return (dither, float(bias), amplitude, phase), (times[clear], frequency[clear])
 
 
 def _followed(
-    volts: Floats, motion: _Motion, parameters: Floats, sample_interval: float
+    volts: Floats, motion: _Motion, parameters: Floats, sample_interval: float, dither: float
 ) -> tuple[Floats, float, float]:
     """Parameters by the phase where the beat is fast, that of the beginning, and rad that are left."""
-    weights = np.hanning(_SMOOTH + 2)[1:-1]
+    smooth = _part(dither * sample_interval, _SMOOTHED, 48)
+    weights = np.hanning(smooth + 2)[1:-1]
     inside = np.zeros(volts.size, dtype=bool)
-    inside[_SMOOTH : -_SMOOTH : _HOP // 2] = True
+    inside[smooth : -smooth : max(smooth // 6, 1)] = True
     start = left = math.nan
     steady = np.zeros(
         (3, parameters.size)
@@ -396,7 +421,7 @@ def _followed(
     for number in range(ROUNDS):
         rate = (parameters @ motion.rates)[motion.samples]
         turned = volts * np.exp(-1j * (parameters @ motion.phases)[motion.samples])
-        rows = np.flatnonzero(inside & (np.abs(rate) * _SMOOTH * sample_interval > _BEATS))
+        rows = np.flatnonzero(inside & (np.abs(rate) * smooth * sample_interval > _BEATS))
         lost = not np.max(np.abs(rate)) * sample_interval < 1.0
         if lost or rows.size < 2 * parameters.size:
             return parameters, math.nan, math.inf

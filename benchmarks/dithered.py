@@ -20,7 +20,7 @@ from analysis.dithered import DitherFlag, estimate_dithered
 
 K, SAMPLES, FINER, NOISE, FILL, BREATH = 2000.0, 2500, 8, 0.6, 90, 0.02
 FASTEST = 0.38  # beats in a sample
-LENGTHS = (0.6, 1.0, 1.5, 2.0, 3.0)
+LENGTHS = (0.6, 1.0, 1.5, 2.0, 3.0, 6.0, 12.0)
 
 
 def records(rng: np.random.Generator, count: int, periods: float, dither: float) -> tuple[Floats, Floats, float]:

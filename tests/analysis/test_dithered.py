@@ -89,6 +89,17 @@ def test_light_that_follows_and_a_slow_receiver_are_no_lock_in(gain_corner, pole
     assert np.sqrt(np.mean(off**2)) < 1.4
 
 
+@pytest.mark.parametrize(("periods", "swing", "jitter"), [(2.0, 90.0, 0.1), (6.0, 28.0, 0.02)])
+def test_a_dither_that_breathes_and_a_long_record_are_followed(periods, swing, jitter):
+    rng = np.random.default_rng(29)
+    true = np.exp(rng.uniform(np.log(0.03), np.log(0.2), 16))
+    volts, interval = records(rng, 16, lock_in=true, phase=1.9, swing=swing, periods=periods, jitter=jitter)
+    each = estimate_dithered(volts, interval, scale_factor=K, dither_frequency=402.0)
+    usable = (each.flags & ~int(DitherFlag.NOT_SIGNIFICANT)) == 0
+    assert usable.sum() >= 12
+    assert np.max(np.abs((each.lock_in_rate - true) / each.lock_in_rate_u)[usable]) < 4
+
+
 def test_half_a_period_may_do():
     volts, interval = records(np.random.default_rng(8), 12, lock_in=0.08, phase=0.2, periods=0.6)
     each = estimate_dithered(volts, interval, scale_factor=K, dither_frequency=402.0)

@@ -219,7 +219,7 @@ def test_every_measurement_of_the_list_is_there() -> None:
     for name in MEASUREMENTS:
         kind = measurement(name)
         assert kind.name == name
-        assert re.fullmatch(r"gyrolock( fog)? \w+", kind.command)
+        assert re.fullmatch(r"gyrolock( fog)? \w+( --dither on)?", kind.command)
 
 
 @pytest.mark.parametrize("name", ["default", "fog_selfcal"])

@@ -42,10 +42,12 @@ _DITHER_RANGE = np.linspace(0.97, 1.03, 25)  # of the stated dither frequency, i
 _STEADY_ROUNDS, _ROUGHLY, _RIDGE = 2, 0.3, 0.03
 _SMOOTHED, _BEATS = 26, 1.8  # parts of a dither period over which the phase is averaged; beats that it has to hold
 _LAGS, UNLIKELY, SIGNIFICANT = 20, 0.001, 3.3
-_LEAST_GAIN, _ROUNDS = 0.1, 40
+_LEAST_GAIN, _DESCENTS, _FEWEST = 0.1, 40, 500  # the last: samples of a record
+_PICARD, _SETTLED = 12, 1e-4  # rounds of (1), and rad by which the last may change the phase
 _PERIODS_TO_SEE = 1.5  # of a dither whose amplitude may change: with fewer its size and the bias are one
 _CIRCLE = np.stack([np.cos(np.linspace(0, 2 * np.pi, 181)), np.sin(np.linspace(0, 2 * np.pi, 181))], axis=-1)
 _GAIN_CORNER, _GAIN_CORNER_U = math.log(2 * math.pi * 1e4), 2.0  # ln of rad/s: 1.4 to 74 kHz
+_CORNERS = 6.0, 18.0  # of the same: 64 Hz to 10 MHz
 
 
 class DitherFlag(IntFlag):
@@ -263,9 +265,6 @@ def _size(z: Complexes, covariance: Floats) -> tuple[Floats, Floats, Floats, Flo
 # One record
 
 
-_FEWEST = 500
-
-
 @dataclass(frozen=True)
 class _Record:
     """What one record says: z in rad/s with its covariance, dither in Hz of beat."""
@@ -303,10 +302,10 @@ class _Motion:
         self.phases = 2 * np.pi * self.integral(self.rates)
 
     def integral(self, values: Floats) -> Floats:
-        """Integral from the beginning on, by trapezia, of the same shape."""
-        total = np.zeros_like(values)
-        np.cumsum((values[..., 1:] + values[..., :-1]) * (self.step / 2), axis=-1, out=total[..., 1:])
-        return total
+        """Integral from the beginning on, of the same shape."""
+        from scipy.integrate import cumulative_trapezoid
+
+        return np.asarray(cumulative_trapezoid(values, dx=self.step, initial=0))
 
     def decaying(self, values: Complexes, corner: float, turning: float) -> Complexes:
         """Values behind a low-pass with a corner in rad/s; they turned so fast (rad/s) before."""
@@ -326,8 +325,7 @@ class _Motion:
 
 def _estimated(volts: Floats, sample_interval: float, dither: float) -> _Record:
     """Follow the phase roughly, then fit the samples."""
-    duration = volts.size * sample_interval
-    if duration * dither < 0.5:
+    if volts.size * sample_interval * dither < 0.5:
         return _Record.failed(DitherFlag.TOO_SHORT)
     if not np.ptp(volts) > 0:
         return _Record.failed(DitherFlag.NOT_FOLLOWED)
@@ -336,10 +334,8 @@ def _estimated(volts: Floats, sample_interval: float, dither: float) -> _Record:
     count = len(motion.splines)
     parameters = np.zeros(len(motion.rates))
     parameters[0] = bias
-    parameters[1 : 1 + count], parameters[1 + count : 1 + 2 * count] = (
-        amplitude * math.cos(phase),
-        -amplitude * math.sin(phase),
-    )
+    parameters[1 : 1 + count] = amplitude * math.cos(phase)
+    parameters[1 + count : 1 + 2 * count] = -amplitude * math.sin(phase)
     # of a dither whose amplitude changes the beats tell that too, though roughly
     columns = motion.rates[:, np.rint((times / sample_interval + (volts.size - 1) / 2) * FINER).astype(np.intp)]
     for _ in range(_STEADY_ROUNDS):
@@ -413,9 +409,8 @@ def _followed(
     inside = np.zeros(volts.size, dtype=bool)
     inside[smooth : -smooth : max(smooth // 6, 1)] = True
     start = left = math.nan
-    steady = np.zeros(
-        (3, parameters.size)
-    )  # a dither of one amplitude first: it cannot bend where nothing is seen
+    # a dither of one amplitude first: it cannot bend where nothing is seen
+    steady = np.zeros((3, parameters.size))
     steady[0, 0], steady[1, 1 : 1 + len(motion.splines)] = 1.0, 1.0
     steady[2, 1 + len(motion.splines) : 1 + 2 * len(motion.splines)] = 1.0
     for number in range(ROUNDS):
@@ -463,7 +458,7 @@ def _descended(
     """Levenberg and Marquardt with the first `free` parameters: values, residuals, covariance for noise 1."""
     left, columns = _left(values, volts, motion, bound)
     damping = 1e-6
-    for _ in range(_ROUNDS):
+    for _ in range(_DESCENTS):
         scale = np.maximum(np.linalg.norm(columns[:, :free], axis=0), 1e-300)
         u, singular, vt = np.linalg.svd(columns[:, :free] / scale, full_matrices=False)
         along, cost = u.T @ left, float(left @ left)
@@ -488,13 +483,19 @@ def _left(values: Floats, volts: Floats, motion: _Motion, bound: float) -> tuple
     """What (2) leaves of the samples, and its derivatives; in the last row g beside its bound."""
     at, moved = motion.samples, values[3:-8]
     z, second, follows = (complex(*pair) for pair in values[-8:-2].reshape(3, 2))
-    offset, amplitude, start, pole, corner = *values[:3], values[-2], min(max(values[-1], 6.0), 18.0)
+    offset, amplitude, start, pole, corner = (
+        *values[:3],
+        values[-2],
+        min(max(values[-1], _CORNERS[0]), _CORNERS[1]),
+    )
     free = moved @ motion.phases + start
     phase = free
-    for _ in range(2):
+    for _ in range(_PICARD):
         fringe = np.exp(1j * phase)
         walk = motion.integral(fringe)
-        phase = free - (z * walk).imag
+        before, phase = phase, free - (z * walk).imag
+        if not np.max(np.abs(phase - before)) > _SETTLED:
+            break
     rate = (moved @ motion.rates)[at]
     place = (rate / np.max(np.abs(rate))) ** 2
     gain = 1 / np.sqrt(np.maximum(1 + pole * place, _LEAST_GAIN))

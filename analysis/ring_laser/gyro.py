@@ -11,7 +11,6 @@ from itertools import pairwise
 from typing import Protocol
 
 import numpy as np
-import scipy.signal
 from numpy.polynomial import chebyshev
 from numpy.typing import ArrayLike, NDArray
 
@@ -380,6 +379,9 @@ class DitheredFringe:
         return np.asarray(np.exp(1j * phase) * (1 + light) / (1 + 1j * beat / self._pole_hz))
 
     def _go_on(self, first: float, last: float) -> None:
+        from scipy.integrate import cumulative_trapezoid  # heavy, as is the next, and few gyros dither
+        from scipy.signal import lfilter
+
         gyro, reach = self._gyro, max(last - first, 2 / self._dither.frequency)
         begin, end = first - reach, last + 3 * reach
         fastest = gyro.scale_factor * (self._dither.rate * (1 + 4 * self._dither.noise) + gyro.lock_in_rate)
@@ -390,11 +392,14 @@ class DitheredFringe:
             draw = np.random.default_rng([self._dither.seed, int(begin * 1e6) & 0xFFFFFFFF])
             start = float(draw.uniform(0, 2 * np.pi))
         bias = np.interp(times, times[[0, -1]], self._bias(times[[0, -1]]))
-        free = start + 2 * np.pi * gyro.scale_factor * _integral_from(self._dither.rate_at(times) + bias, step)
+        free = start + 2 * np.pi * gyro.scale_factor * cumulative_trapezoid(
+            self._dither.rate_at(times) + bias, dx=step, initial=0
+        )
         pull = 2 * np.pi * gyro.scale_factor * gyro.lock_in_rate * (points < _MOST_POINTS)
         phases, light = free, np.zeros(points)
         for _ in range(_PICARD_ROUNDS):
-            change = free - pull * _integral_from(np.sin(phases + gyro.backscatter_phase), step) - phases
+            coupled = np.sin(phases + gyro.backscatter_phase)
+            change = free - pull * cumulative_trapezoid(coupled, dx=step, initial=0) - phases
             phases = phases + change
             if np.max(np.abs(change)) < _PICARD_ENDS:
                 break
@@ -402,19 +407,12 @@ class DitheredFringe:
             corner = 2 * np.pi * gyro.winking.gain_corner_hz
             kept = math.exp(-corner * step)
             drive = pull / corner * (1 - kept) * np.cos(phases + gyro.backscatter_phase)
-            light = np.asarray(scipy.signal.lfilter([1.0], [1.0, -kept], drive))
+            light = np.asarray(lfilter([1.0], [1.0, -kept], drive))
         self._times, self._phases, self._light = times, phases, light
 
 
 _POINTS_A_BEAT, _MOST_POINTS = 24, 4_000_000
 _PICARD_ROUNDS, _PICARD_ENDS = 60, 1e-7  # rad
-
-
-def _integral_from(values: Floats, step: float) -> Floats:
-    """Integral from the first time on, by trapezia."""
-    total = np.zeros_like(values)
-    np.cumsum((values[1:] + values[:-1]) * (step / 2), out=total[1:])
-    return total
 
 
 # --------------------

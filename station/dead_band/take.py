@@ -95,7 +95,7 @@ class DeadBandSettings(SettingsSection):
 
     @property
     def dither(self) -> DitherSettings:
-        """A sweep needs a gyro at rest."""
+        """A sweep needs a gyro that does not dither."""
         return DitherSettings()
 
 

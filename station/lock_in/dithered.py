@@ -185,29 +185,26 @@ QUANTITIES = (
 def result(found: DitheredEvaluation, run: SavedRun, settings: Settings) -> Result:
     """Put into numbers and sentences what was found."""
     value, low, high = found.lock_in_rate, found.lock_in_rate_low_95, found.lock_in_rate_high_95
-    words = (
-        f"{within(value, low, high, 'deg/s')} = {within(3600 * value, 3600 * low, 3600 * high, 'deg/h')} (95 %)"
-    )
+    hourly = within(3600 * value, 3600 * low, 3600 * high, "deg/h")
     used = f"{len(found.names) - len(found.left_out)} of {len(found.names)} used"
-    walk = f"{found.random_walk:.3g} deg/√h by lock-in alone"
     rows = [
         ("dither", f"{found.dither_rate:.4g} deg/s peak at {found.dither_frequency:.4g} Hz"),
-        ("random walk", walk),
+        ("random walk", f"{found.random_walk:.3g} deg/√h by lock-in alone"),
     ]
     by_walk = with_uncertainty(found.by_random_walk, found.by_random_walk_u, "deg/s")
     if math.isfinite(found.by_random_walk):
         rows.append(("by random walk", f"{by_walk}, an upper bound: other noise walks too"))
     texts = {
-        "misfit": "The records differ by more than their noise: the coupling may have moved. Its u is enlarged.",
+        "misfit": "The records differ by more than their noise: the coupling may have moved. u is enlarged.",
         "not_significant": "The lock-in rate does not stand out of its uncertainty: take more records.",
-        "few_usable": "More than half of the records cannot be used; the first reason stands with each.",
+        "few_usable": "More than half of the records cannot be used; the reason stands with each.",
         "dither_larger": f"By K the dither is {found.dither_rate:.4g} deg/s, more than stated: one is wrong.",
         "walk_too_small": f"The stated random walk allows {by_walk}, less than the records show: one is wrong.",
     }
     truth, beside = run.facts.truth, document(found, QUANTITIES[1].quantities)
     return Result(
         name="lock-in rate",
-        value=words,
+        value=f"{within(value, low, high, 'deg/s')} = {hourly} (95 %)",
         document={
             **document(found, QUANTITIES[0].quantities),
             "by_random_walk": beside if math.isfinite(found.by_random_walk) else None,
@@ -247,9 +244,9 @@ def sections(found: DitheredEvaluation, run: SavedRun, settings: Settings, made:
     rows = tuple(
         (
             found.names[row],
-            with_uncertainty(float(each.lock_in_rate[row]), float(each.lock_in_rate_u[row])),
-            f"{math.degrees(float(np.angle(each.coupling[row]))):+.0f}°",
-            f"{each.dither_rate[row]:.4g}",
+            _or_none(each.lock_in_rate[row], with_uncertainty(each.lock_in_rate[row], each.lock_in_rate_u[row])),
+            _or_none(each.lock_in_rate[row], f"{np.degrees(np.angle(each.coupling[row])):+.0f}°"),
+            _or_none(each.dither_rate[row], f"{each.dither_rate[row]:.4g}"),
             ", ".join(str(flag.name).lower() for flag in DitherFlag if flag & int(each.flags[row])),
         )
         for row in shown
@@ -264,6 +261,10 @@ def sections(found: DitheredEvaluation, run: SavedRun, settings: Settings, made:
         Section("A record, and all of them", figures=figures),
         Section("Records", table=TextTable(header, rows)),
     ]
+
+
+def _or_none(value: float, words: str) -> str:
+    return words if math.isfinite(value) else "none"
 
 
 _RECORDS_SHOWN = 100
@@ -284,9 +285,8 @@ def _draw_record(found: DitheredEvaluation, figure: Figure) -> None:
 def _draw_values(found: DitheredEvaluation, figure: Figure) -> None:
     axes, each = figure.add_subplot(), found.each
     usable = (each.flags & ~int(DitherFlag.NOT_SIGNIFICANT)) == 0
-    number = np.arange(1, len(found.names) + 1)
-    label = "all records, 95 %"
-    axes.axhspan(found.lock_in_rate_low_95, found.lock_in_rate_high_95, color=ACCENT, alpha=0.16, label=label)
+    number, ends = np.arange(1, len(found.names) + 1), (found.lock_in_rate_low_95, found.lock_in_rate_high_95)
+    axes.axhspan(*ends, color=ACCENT, alpha=0.16, label="all records, 95 %")
     axes.axhline(found.lock_in_rate, color=ACCENT, linewidth=1.1)
     for chosen, colour, label in ((usable, INK, "record, ±1 u of its noise"), (~usable, SOFT, "left out")):
         near = chosen & (each.lock_in_rate < 5 * found.lock_in_rate + 10 * found.lock_in_rate_u)

@@ -54,8 +54,8 @@ tilt."""
 def take(settings: Settings, session: Acquisition) -> None:
     """Do the whole experiment and save it; of a run that was cut short, what is missing."""
     check_scale_factor(settings)
-    at_rest = settings.model_copy(update={"dither": DitherSettings()})  # `dithered.py` is for the other one
-    take_on(open_for(session, at_rest), settings, session)
+    still = settings.model_copy(update={"dither": DitherSettings()})  # with the dither on: `dithered.py`
+    take_on(open_for(session, still), settings, session)
 
 
 def take_on(bench: Bench, settings: Settings, session: Acquisition) -> None:

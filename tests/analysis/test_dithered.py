@@ -100,6 +100,16 @@ def test_a_dither_that_breathes_and_a_long_record_are_followed(periods, swing, j
     assert np.max(np.abs((each.lock_in_rate - true) / each.lock_in_rate_u)[usable]) < 4
 
 
+def test_a_strong_coupling_is_followed_to_its_end():
+    rng = np.random.default_rng(41)
+    true = np.exp(rng.uniform(np.log(0.3), np.log(1.0), 16))
+    volts, interval = records(rng, 16, lock_in=true, phase=0.9)
+    each = estimate_dithered(volts, interval, scale_factor=K, dither_frequency=402.0)
+    usable = (each.flags & ~int(DitherFlag.NOT_SIGNIFICANT)) == 0
+    assert usable.sum() >= 13
+    assert np.sqrt(np.mean(((each.lock_in_rate - true) / each.lock_in_rate_u)[usable] ** 2)) < 1.5
+
+
 def test_half_a_period_may_do():
     volts, interval = records(np.random.default_rng(8), 12, lock_in=0.08, phase=0.2, periods=0.6)
     each = estimate_dithered(volts, interval, scale_factor=K, dither_frequency=402.0)

@@ -7,8 +7,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from analysis.arrays import Complexes, Floats
-from analysis.budget import BenchKnowledge, Budget, BudgetInput, Reference, TableGeometry, lock_in_budget
-from analysis.budget.bench import RecordShape, expected_noise, expected_point
+from analysis.budget import (
+    BenchKnowledge,
+    Budget,
+    BudgetInput,
+    RecordShape,
+    Reference,
+    TableGeometry,
+    expected_noise,
+    expected_point,
+    lock_in_budget,
+)
 from analysis.lockin_equation import beat_frequency, harmonic_ratio
 from analysis.lockin_rate import MAINS_ORDERS
 from analysis.rotation import earth_rate_on_axis

@@ -28,7 +28,7 @@ import scipy.special
 from numpy.typing import ArrayLike
 
 from analysis.arrays import NORMAL_95, Bools, Complexes, Floats, Indices, NoFit
-from analysis.budget.bench import SCALE_FACTOR_LIMIT, TABLE_RATE_LIMIT, lowest_bandwidth
+from analysis.budget import SCALE_FACTOR_LIMIT, TABLE_RATE_LIMIT, lowest_bandwidth
 from analysis.frequency_method import fit_frequencies
 from analysis.harmonics import fit_free_harmonics
 from analysis.lockin_rate import size_interval

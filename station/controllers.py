@@ -12,9 +12,9 @@ from typing import Any, TypeVar
 
 from pydantic import Field, ValidationError
 
-from instrument.controlled_table import ControlledRateTable, Guard
 from instrument.controllers import Controller, ControllerTemplate, parse_template
 from instrument.errors import InstrumentError
+from instrument.rate_table import ControlledRateTable, Guard
 from instrument.simulated import SimulatedRateTable
 from instrument.simulated.clock import Clock, VirtualClock
 from instrument.simulated.controllers import (

@@ -11,6 +11,7 @@ import numpy as np
 
 from analysis.arrays import NORMAL_95, Complexes, Floats, Indices, NoFit, OneRateOnly, OutsideResponse
 from analysis.budget import (
+    CORNERS,
     BenchKnowledge,
     Bounded,
     Budget,
@@ -19,12 +20,13 @@ from analysis.budget import (
     OperatingPoint,
     ResponseCorner,
     TableGeometry,
+    bounded,
     lock_in_budget,
     operating_point,
+    response_input,
+    separated_input,
 )
 from analysis.budget import Reference as RateReference
-from analysis.budget.bench import bounded
-from analysis.budget.inputs import CORNERS, response_input, separated_input
 from analysis.channel import ChannelResponse
 from analysis.combine import as_at_one_rate, combine_estimates, without_copies
 from analysis.flags import FATAL, Flag

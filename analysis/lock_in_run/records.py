@@ -8,8 +8,13 @@ from typing import Any, TypeVar
 import numpy as np
 
 from analysis.arrays import Bools, Floats, Indices, Ints
-from analysis.budget import BenchKnowledge
-from analysis.budget.bench import LOWEST_GAIN_CORNER_HZ, SCALE_FACTOR_LIMIT, SECOND_ORDER_LIMIT, TABLE_RATE_LIMIT
+from analysis.budget import (
+    LOWEST_GAIN_CORNER_HZ,
+    SCALE_FACTOR_LIMIT,
+    SECOND_ORDER_LIMIT,
+    TABLE_RATE_LIMIT,
+    BenchKnowledge,
+)
 from analysis.channel import ChannelResponse, correct_response
 from analysis.combine import combine_estimates
 from analysis.flags import FATAL, Flag
@@ -265,7 +270,7 @@ def preliminary_lock_in(records: RecordArrays, scale_factor: float) -> Prelimina
 #
 # The beat's own third harmonic is c3 = c2^2/c1, whatever second-order distortion adds. A cube adds a real number h
 # to c3 |c1|^-1 exp(-3i arg c1), the same in every record of one amplitude, and changes r by up to its share h
-# (`analysis.budget.bench`)
+# (`analysis.budget`)
 
 
 _HARMONICS = 4

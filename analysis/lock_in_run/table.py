@@ -31,7 +31,7 @@ import scipy.optimize
 import scipy.special
 
 from analysis.arrays import Bools, Floats, Indices
-from analysis.budget.bench import BIAS_LIMIT_DPH, LATITUDE_LIMIT_DEG
+from analysis.budget import BIAS_LIMIT_DPH, LATITUDE_LIMIT_DEG
 from analysis.flags import Flag
 from analysis.lock_in_run.records import Method, RecordArrays, RunArrays, RunKnowledge, estimate_records
 from analysis.lockin_rate import LockInEstimate

@@ -122,7 +122,7 @@ def fit_rates(
         and bandwidth, each within what is known of it beforehand. The others fit what they name, take the rest
         to be zero, and know nothing beforehand.
     receiver : ReceiverKnowledge, optional
-        What is known of receiver and laser; without it the usual bounds hold (`analysis.budget.bench`).
+        What is known of receiver and laser; without it the usual bounds hold (`analysis.budget`).
     in_order : bool, optional
         Whether the records stand in the order in which they were taken. Then phase and lock-in rate may drift over
         them, and the uncertainty counts it; without it only where the records do not fit otherwise.

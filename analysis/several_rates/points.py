@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from analysis.arrays import Bools, Complexes, Floats, Indices
-from analysis.budget.bench import SECOND_ORDER_LIMIT
+from analysis.budget import SECOND_ORDER_LIMIT
 from analysis.flags import Flag
 from analysis.lockin_rate import LockInEstimate
 from analysis.several_rates.ratio_model import (

@@ -37,13 +37,14 @@ from typing import Literal
 import numpy as np
 
 from analysis.arrays import Bools, Complexes, Floats, Indices
-from analysis.budget import BenchKnowledge, ResponseCorner
-from analysis.budget.bench import (
+from analysis.budget import (
     LOCK_IN_DRIFT_LIMIT,
     PHASE_CHANGE_LIMIT,
     PROBE_HZ,
     SECOND_ORDER_LIMIT,
     THIRD_ORDER_LIMIT,
+    BenchKnowledge,
+    ResponseCorner,
     lowest_bandwidth,
     lowest_gain_corner,
 )

@@ -15,8 +15,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from analysis.budget import ResponseCorner
-from analysis.budget.bench import SECOND_ORDER_LIMIT, THIRD_ORDER_LIMIT, lowest_bandwidth, lowest_gain_corner
+from analysis.budget import (
+    SECOND_ORDER_LIMIT,
+    THIRD_ORDER_LIMIT,
+    ResponseCorner,
+    lowest_bandwidth,
+    lowest_gain_corner,
+)
 from analysis.plan import run_order
 from analysis.several_rates import RatesFit, RatesFlag, RatioData, ReceiverKnowledge, Reference, fit_rate_ratios
 from analysis.several_rates.ratio_model import beyond_first_order, predicted

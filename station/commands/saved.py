@@ -431,7 +431,7 @@ def verify_command(paths: tuple[Path, ...], as_json: bool) -> int:
     every run by their SHA-256, the numbers that they give now, and the verdicts. Exit codes: 0 everything holds, 1
     something does not, 2 there is no record.
     """
-    from station.campaign.verify import verify
+    from station.campaign.record import verify
 
     told: list[dict[str, Any]] = []
     for path in paths:

@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING, Any
 from station.campaign.conduct import conduct
 from station.campaign.file import read_campaign
 from station.campaign.journal import CampaignOutcome, CampaignPlan
-from station.campaign.record import RecordFiles, write_record
-from station.campaign.verify import RecordCheck, verify
+from station.campaign.record import RecordCheck, RecordFiles, verify, write_record
 from station.catalogue import Entry, RunFilter, chosen, list_runs, runs_table
 from station.errors import UsageError
 from station.measurements import measurement

@@ -24,9 +24,9 @@ from station.reanalysis.combine import (
 )
 from station.reanalysis.table_file import rows_of_pieces
 from station.report.figure import ACCENT, INK, SECOND, SOFT, write_picture
-from station.results.derived import BudgetedValue, budgeted_values, derived, shared_inputs
 from station.results.numbers import BEAT_FREQUENCY, LOCK_IN_RATE, LOCK_IN_RATE_NOISE_U
 from station.results.result import TextTable, plain, with_uncertainty
+from station.results.verdict import BudgetedValue, budgeted_values, derived, shared_inputs
 from station.runs.progress import Progress
 from station.shell.finish import evaluate_saved
 from station.sources.batches import ExcludedRecord

@@ -4,19 +4,19 @@ import numpy as np
 
 
 def test_lowest_gain_corner() -> None:
-    from analysis.budget.bench import lowest_gain_corner
+    from analysis.budget import lowest_gain_corner
 
     assert (lowest_gain_corner(160.0), lowest_gain_corner(4000.0)) == (480.0, 5000.0)
 
 
 def test_lowest_bandwidth() -> None:
-    from analysis.budget.bench import lowest_bandwidth
+    from analysis.budget import lowest_bandwidth
 
     assert lowest_bandwidth(160.0) == 800.0
 
 
 def test_level() -> None:
-    from analysis.budget.inputs import level
+    from analysis.budget import level
 
     assert (level(0.01), level(0.0)) == ("-40 dBc", "none")
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from analysis.budget.bench import bounded
+from analysis.budget import bounded
 from instrument import Preamble, Waveform
 from instrument.tek_files import csv_text
 from station.errors import RunError

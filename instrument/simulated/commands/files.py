@@ -10,13 +10,12 @@ from instrument.errors import FileFormatError, TransferError
 from instrument.simulated.commands import waveform as reference_commands
 from instrument.simulated.commands.setup_status import recall_setup, save, setup_file
 from instrument.simulated.commands.tree import Action, Order, answer, no_argument, one_argument, one_string
-from instrument.simulated.files.pictures import FORMATS, csv_file, draw
-from instrument.simulated.files.storage import MassStorage
 from instrument.simulated.front_end.traces import Trace
 from instrument.simulated.panel.events import Guess, Refusal
 from instrument.simulated.panel.parsing import Argument, Leaf, quoted
 from instrument.simulated.panel.settings import Words
-from instrument.simulated.state import ScopeState
+from instrument.simulated.pictures import FORMATS, csv_file, draw
+from instrument.simulated.state import MassStorage, ScopeState
 from instrument.tek_files import parse_csv
 
 _BEGINNING = datetime(2006, 4, 21, 8, 0)  # what the clock shows when the instrument begins to live

@@ -10,10 +10,10 @@ import numpy as np
 
 from instrument.scpi import DIVISIONS, LEVELS_PER_DIVISION
 from instrument.simulated.commands.tree import Action, answer, no_argument, one_argument, one_number
-from instrument.simulated.files.pictures import FORMATS, draw
 from instrument.simulated.panel.events import Guess, Refusal
 from instrument.simulated.panel.parsing import Argument, Leaf, Mnemonics, block, join_leaves, quoted
 from instrument.simulated.panel.settings import Words, time_steps
+from instrument.simulated.pictures import FORMATS, draw
 from instrument.simulated.state import ScopeState
 
 MEMORIES = 10

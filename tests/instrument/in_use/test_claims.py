@@ -16,10 +16,10 @@ import pyvisa
 
 from instrument import TDS2014, LinkError, SettingError
 from instrument.claims import claim, link_of
-from instrument.controlled_table import ControlledRateTable
 from instrument.controllers import Controller, parse_template
 from instrument.discovery import check_resource
 from instrument.pyvisa_sessions import claim_instrument
+from instrument.rate_table import ControlledRateTable
 from instrument.simulated import SimulatedRateTable, SimulatedTDS2014, TcpServer
 from instrument.simulated.controllers import LineServer, RateTableController, SimulatedPowerSupply
 from instrument.simulated.links.scope_servers import GpibAdapterServer

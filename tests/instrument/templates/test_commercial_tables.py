@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from instrument import LinkError, SettingError
-from instrument.controlled_table import ControlledRateTable
 from instrument.controllers import Controller, parse_template
+from instrument.rate_table import ControlledRateTable
 from instrument.simulated import SimulatedRateTable, VirtualClock
 from instrument.simulated.controllers import LineServer
 

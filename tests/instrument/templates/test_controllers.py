@@ -14,8 +14,8 @@ from typing import Any
 import pytest
 
 from instrument import LinkError, RateTable, SettingError, WrongInstrument
-from instrument.controlled_table import ControlledRateTable
 from instrument.controllers import Controller, ControllerTemplate, parse_template
+from instrument.rate_table import ControlledRateTable
 from instrument.simulated import SimulatedRateTable, VirtualClock
 from instrument.simulated.controllers import (
     LineServer,
@@ -170,7 +170,7 @@ def test_another_instrument_is_refused() -> None:
 
 KILLED = """
 import sys, tomllib, time
-from instrument.controlled_table import *
+from instrument.rate_table import *
 from instrument.controllers import *
 values = tomllib.load(open(sys.argv[2], "rb"))
 controller = Controller(sys.argv[1], parse_template(values, "x"))

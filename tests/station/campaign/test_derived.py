@@ -18,14 +18,13 @@ from station.campaign.conduct import conduct
 from station.campaign.file import read_campaign
 from station.campaign.journal import CampaignOutcome, read_journal
 from station.campaign.messages import sentences
-from station.campaign.record import write_record
-from station.campaign.verify import verify
+from station.campaign.record import verify, write_record
 from station.cli import main
 from station.errors import SettingsError, UsageError
 from station.lock_in import take as lock_in_take
 from station.program import ProgramSection, run_program
-from station.results.derived import budgeted_values, derived
 from station.results.quantity import Quantity, QuantityGroup
+from station.results.verdict import budgeted_values, derived
 from station.runs.progress import Progress
 from station.runs.store import RunWriter
 

@@ -14,9 +14,8 @@ from urllib.parse import urlencode
 
 import pytest
 
-from station.panel.forms import checked, form_of, measurements, settings_text
 from station.panel.guard import LARGEST_BODY
-from station.panel.server import languages, words
+from station.panel.server import checked, form_of, languages, measurements, settings_text, words
 
 sys.path.insert(0, str(Path(__file__).parent))
 from visitor import Visitor, environment, running_panel

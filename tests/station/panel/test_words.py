@@ -15,8 +15,7 @@ from instrument import ManualRateTable
 from station.fibre_gyro.bench import SerialFogBench
 from station.fibre_gyro.settings import load_fog_settings
 from station.measurements import MEASUREMENTS, measurement
-from station.panel.forms import FormField, measurements
-from station.panel.server import PAGE, languages, put, words
+from station.panel.server import PAGE, FormField, languages, measurements, put, words
 
 ROOT = PAGE.parents[2]
 # what stays as it is: names of instruments, commands, options and settings

@@ -19,7 +19,7 @@ from station.reanalysis import parquet_table  # its schema holds the version: no
 from station.reanalysis.analyze_table import KINDS, Filled, fill_table, table_file
 from station.reanalysis.compare import compare, read_records, with_headlines
 from station.reanalysis.table_file import ORDER, only_writer
-from station.results.derived import budgeted_values
+from station.results.verdict import budgeted_values
 from station.runs.progress import Progress
 from station.runs.store import NewRecord, RunWriter, open_run
 from station.sources.find import find_sources

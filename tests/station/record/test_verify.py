@@ -8,8 +8,7 @@ from typing import Any
 
 import pytest
 
-from station.campaign.record import CONTENT, RECORD_FILE, content_sha256
-from station.campaign.verify import verify
+from station.campaign.record import CONTENT, RECORD_FILE, content_sha256, verify
 from station.cli import main
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from instrument.simulated.files.pictures import COLOURS, FORMATS, eps, packed_bitmap, pcx
+from instrument.simulated.pictures import COLOURS, FORMATS, eps, packed_bitmap, pcx
 
 
 def hard_copy(bench, name):

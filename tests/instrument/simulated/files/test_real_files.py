@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 
 from instrument import read_waveform
-from instrument.simulated.files.pictures import csv_file
 from instrument.simulated.front_end.traces import Trace
+from instrument.simulated.pictures import csv_file
 
 FILES = Path(__file__).resolve().parents[5] / "shared" / "data" / "tek-files"
 pytestmark = pytest.mark.skipif(not FILES.is_dir(), reason="the collection of real files is not beside this tree")

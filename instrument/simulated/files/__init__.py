@@ -1,1 +1,0 @@
-"""Files that the simulated oscilloscope writes: memory card, waveforms, pictures."""

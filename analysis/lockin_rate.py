@@ -12,7 +12,7 @@ import numpy as np
 import scipy.special
 from numpy.typing import ArrayLike
 
-from analysis.arrays import Bools, Complexes, Floats, Indices, Ints
+from analysis.arrays import Bools, Complexes, Floats, Indices, Ints, Stacked
 from analysis.flags import FATAL, Flag, flag_names
 from analysis.lockin_equation import Relation, input_rate_from_beat, lock_in_from_beat, lock_in_from_rate
 from analysis.waveform.converter import of_few_levels
@@ -312,7 +312,7 @@ LOSS = 0.01
 
 
 @dataclass(frozen=True)
-class Beat:
+class Beat(Stacked):
     """Frequency and harmonic ratio of (R,) records, with their covariance."""
 
     # size is |q| as fitted, ratio the same freed of its bias; covariance (R, 3, 3) is that of frequency, size of
@@ -339,10 +339,6 @@ class Beat:
     def ratio_u(self) -> Floats:
         """Standard uncertainty of the size of the ratio."""
         return np.hypot(np.sqrt(self.covariance[:, 1, 1]), self.misfit)
-
-    def take(self, rows: Indices) -> Beat:
-        """Some of the records."""
-        return Beat(**{field.name: getattr(self, field.name)[rows] for field in fields(Beat)})
 
     def widened(self, rows: Indices, ratio_u: Floats) -> Beat:
         """With one more uncertainty (r,) by what is no noise in the ratio of some records."""

@@ -288,7 +288,7 @@ def _fit(
     fits: dict[Model, RatioFit] = {}
     for name, which in FREE.items():
         if name == chosen:
-            fits[name] = found[:1]
+            fits[name] = found.take(slice(1))
         elif points.settings > 1 or name == "lock-in":
             prior = _prior(name, known)
             held = np.array([True, True, *which])
@@ -339,7 +339,7 @@ def _with_uneven_codes(points: Points, found: RatioFit, prior: Prior, most: floa
         found = up_to(all_solutions(points.points, prior), most)
     noisy, fit, more = points, found, 0.0
     for _ in range(_MOST_PASSES):
-        degrees, chi_square = _degrees(fit[:1], noisy, prior), float(fit.chi_square[0])
+        degrees, chi_square = _degrees(fit, noisy, prior), float(fit.chi_square[0])
         by_chance = more == 0 and scipy.special.chdtrc(max(degrees, 1), chi_square) > UNLIKELY
         if by_chance or chi_square <= degrees or degrees < 1:
             break
@@ -371,7 +371,7 @@ def _with_table_noise(points: Points, found: RatioFit, prior: Prior, most: float
         return points, found
     noisy = with_rate_noise(points, share)
     with_noise = up_to(all_solutions(noisy.points, prior), most)
-    degrees = _degrees(with_noise[:1], noisy, prior)
+    degrees = _degrees(with_noise, noisy, prior)
     if degrees > 0 and scipy.special.chdtrc(degrees, with_noise.chi_square[0]) < UNLIKELY:
         return points, found
     return noisy, with_noise
@@ -577,10 +577,9 @@ def leave_out(points: Points, fit: RatioFit, prior: Prior) -> WithoutOneRate:
     # a rate that is wrong may have led the fit of all astray
     tried = [fit_ratios(rest, prior, each) for each in (start, with_distortion_alone(start, rest, prior))]
     better = np.flatnonzero(tried[1].chi_square < tried[0].chi_square)
-    both = RatioFit(*(np.concatenate(pair) for pair in zip(*(each.fields for each in tried), strict=True)))
     place = np.arange(n_groups)
     place[better] += n_groups
-    others = both[place]
+    others = RatioFit.joined(tried).take(place)
     along = fit.parameters[0, :2] / max(float(np.hypot(*fit.parameters[0, :2])), 1e-300)
     value = np.hypot(others.parameters[:, 0], others.parameters[:, 1])
     u = np.sqrt(np.einsum("i,bij,j->b", along, others.covariance[:, :2, :2], along))
@@ -695,7 +694,7 @@ def over_gain_times(
     different = np.empty_like(new)
     np.put_along_axis(different, order, new, axis=0)
     kept = np.flatnonzero(different.ravel())
-    fits, at = fits[kept], kept % times.size
+    fits, at = fits.take(kept), kept % times.size
     heights = 0.5 * (fits.chi_square - fits.chi_square.min()) / widen
     mean, sd = prior.mean[_GAIN_TIME], prior.sd[_GAIN_TIME]
     # a bound ends much sooner than a bell

@@ -36,7 +36,7 @@ from typing import Literal
 
 import numpy as np
 
-from analysis.arrays import Bools, Complexes, Floats, Indices
+from analysis.arrays import Bools, Complexes, Floats, Indices, Stacked
 from analysis.budget import (
     LOCK_IN_DRIFT_LIMIT,
     PHASE_CHANGE_LIMIT,
@@ -300,7 +300,7 @@ _LARGEST_STEP = 0.999  # the slowest rate with a beat is faster than the lock-in
 
 
 @dataclass(frozen=True)
-class RatioFit:
+class RatioFit(Stacked):
     """parameters (B, P) and covariance (B, P, P), zero where held; chi_square (B,), what is known beforehand
     included; singular (B,).
     """
@@ -309,15 +309,6 @@ class RatioFit:
     covariance: Floats
     chi_square: Floats
     singular: Bools
-
-    @property
-    def fields(self) -> tuple[Floats, Floats, Floats, Bools]:
-        """All four, in order."""
-        return self.parameters, self.covariance, self.chi_square, self.singular
-
-    def __getitem__(self, key: slice | Indices) -> RatioFit:
-        """Some of the sets."""
-        return RatioFit(self.parameters[key], self.covariance[key], self.chi_square[key], self.singular[key])
 
 
 def fit_ratios(data: RatioData, prior: Prior, start: Floats) -> RatioFit:
@@ -341,14 +332,14 @@ def _minimised(
     here = _linearised(point, data, prior, held)
     damping = np.full(len(point), 1e-4)
     for _ in range(iterations):
-        ridge = damping[:, np.newaxis, np.newaxis] * np.eye(len(here.ways))
+        ridge = damping[:, np.newaxis, np.newaxis] * np.eye(here.ways.shape[1])
         step = here.unit * np.linalg.solve(here.normal + ridge, here.gradient[..., np.newaxis])[..., 0]
-        moved = here.point + np.einsum("bw,wbp->bp", step, here.ways)
+        moved = here.point + np.einsum("bw,bwp->bp", step, here.ways)
         trial = _linearised(_bounded(moved, data) if held is None else _of_size(moved, held), data, prior, held)
         better = trial.cost <= here.cost
         settled = np.abs(here.cost - trial.cost) <= SETTLED * (1 + here.cost)
         settled |= ~better & (damping >= _NO_WAY_DOWN)
-        here = here.where(better, trial)
+        here = trial.where(better, here)
         damping = np.where(better, np.maximum(damping * 0.2, 1e-13), np.minimum(damping * 8, 1e6))
         if np.all(settled):
             break
@@ -356,7 +347,7 @@ def _minimised(
 
 
 @dataclass(frozen=True)
-class _Linearised:
+class _Linearised(Stacked):
     """Chi-square about points (B, N_PARAMETERS): its value and slope, see `_linearised`."""
 
     point: Floats
@@ -366,30 +357,18 @@ class _Linearised:
     gradient: Floats
     unit: Floats
 
-    def where(self, chosen: Bools, other: _Linearised) -> _Linearised:
-        """The same with some of the sets (B,) from another."""
-        rows, matrices = chosen[:, np.newaxis], chosen[:, np.newaxis, np.newaxis]
-        return _Linearised(
-            np.where(rows, other.point, self.point),
-            np.where(rows, other.ways, self.ways),
-            np.where(chosen, other.cost, self.cost),
-            np.where(matrices, other.normal, self.normal),
-            np.where(rows, other.gradient, self.gradient),
-            np.where(rows, other.unit, self.unit),
-        )
-
 
 def all_solutions(data: RatioData, prior: Prior) -> RatioFit:
     """Every minimum that is found from many starts, for one set of data; the best first."""
     # Lock-in rate and phase are tried on a grid, and the gain time where it is free, with the best distortion for
     # each; the lowest points of that map are the starts.
     tried = _minimised(data, prior, _starts(data, prior), _FIRST_ITERATIONS)
-    tried = _apart(tried, np.zeros(len(tried.chi_square)))[:_FINISHED]
+    tried = _apart(tried, np.zeros(len(tried.chi_square))).take(slice(_FINISHED))
     starts = np.repeat(tried.parameters, _BESIDE.size, axis=0)
     starts[:, :2] *= np.tile(_BESIDE, len(tried.parameters))[:, np.newaxis]
     near = _minimised(data, prior, _bounded(with_distortion_alone(starts, data, prior), data), _FIRST_ITERATIONS)
-    tried = RatioFit(*(np.concatenate(pair) for pair in zip(tried.fields, near.fields, strict=True)))
-    tried = _apart(tried, np.zeros(len(tried.chi_square)))[:_FINISHED]
+    both = RatioFit.joined([tried, near])
+    tried = _apart(both, np.zeros(len(both.chi_square))).take(slice(_FINISHED))
     found = fit_ratios(data, prior, tried.parameters)
     return _apart(found, 0.5 * np.sqrt(np.trace(found.covariance[:, :2, :2], axis1=-2, axis2=-1)))
 
@@ -401,7 +380,7 @@ def _apart(found: RatioFit, u: Floats) -> RatioFit:
     for row in np.argsort(found.chi_square):
         if not np.any(np.abs(z[kept] - z[row]) < _CLOSE * np.abs(z[row]) + u[row]):
             kept.append(int(row))
-    return found[np.array(kept)]
+    return found.take(np.array(kept))
 
 
 def whitened(parameters: Floats, data: RatioData) -> tuple[Floats, Floats]:
@@ -421,7 +400,7 @@ def _finished(found: _Linearised) -> RatioFit:
     eigenvalues, vectors = np.linalg.eigh(found.normal)
     inverse = np.einsum("bij,bj,bkj->bik", vectors, 1 / np.maximum(eigenvalues, 1e-15), vectors)
     inverse = inverse * found.unit[:, :, np.newaxis] * found.unit[:, np.newaxis, :]
-    covariance = np.einsum("vbp,bvw,wbq->bpq", found.ways, inverse, found.ways)
+    covariance = np.einsum("bvp,bvw,bwq->bpq", found.ways, inverse, found.ways)
     return RatioFit(found.point, covariance, found.cost, eigenvalues[:, 0] < SINGULAR)
 
 
@@ -475,7 +454,7 @@ def _linearised(point: Floats, data: RatioData, prior: Prior, held: Floats | Non
     jacobian = jacobian / size[:, np.newaxis, :]
     normal = jacobian.swapaxes(-1, -2) @ jacobian
     gradient = np.einsum("bnp,bn->bp", jacobian, both[-1])
-    return _Linearised(point, ways, np.sum(both[-1] ** 2, axis=-1), normal, gradient, 1 / size)
+    return _Linearised(point, ways.swapaxes(0, 1), np.sum(both[-1] ** 2, axis=-1), normal, gradient, 1 / size)
 
 
 def _starts(data: RatioData, prior: Prior) -> Floats:

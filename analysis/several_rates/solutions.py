@@ -34,8 +34,8 @@ class RatesAnswer:
 def answer(found: RatioFit, widen: float, degrees: int) -> RatesAnswer:
     """The lock-in rate that a fit with one or several minima gives."""
     above = (found.chi_square - found.chi_square[0]) / widen
-    possible = found[np.flatnonzero(above <= POSSIBLE)]
-    each = [_size(possible[row : row + 1], widen, degrees) for row in range(possible.chi_square.size)]
+    possible = found.take(above <= POSSIBLE)
+    each = [_size(possible.take(slice(row, row + 1)), widen, degrees) for row in range(possible.chi_square.size)]
     values, us = (np.array([one[k] for one in each]) for k in (0, 1))
     # where phases turn there may be several ways to one lock-in rate
     others = tuple(
@@ -62,7 +62,7 @@ def largest_possible(found: RatioFit, data: RatioData) -> float:
 
 def up_to(found: RatioFit, most: float) -> RatioFit:
     """The minima whose lock-in rate is not above `most`, deg/s."""
-    return found[np.flatnonzero(np.hypot(found.parameters[:, 0], found.parameters[:, 1]) <= most)]
+    return found.take(np.hypot(found.parameters[:, 0], found.parameters[:, 1]) <= most)
 
 
 _ANOTHER = 0.5  # standard uncertainties by which another solution differs at least
@@ -82,7 +82,7 @@ def by_profile(
         return said
     student = float(scipy.special.stdtrit(degrees, 0.975)) if degrees else NORMAL_95
     minima = range(1 + len(said.others))
-    units = [lock_in_u(found[row : row + 1]) * math.sqrt(widen) for row in minima]
+    units = [lock_in_u(found.take(slice(row, row + 1))) * math.sqrt(widen) for row in minima]
     around = [float(np.hypot(*found.parameters[row, :2])) + units[row] * _REACH for row in minima]
     tried = np.append(np.concatenate(around), most)
     starts = found.parameters[list(minima)]
@@ -173,7 +173,7 @@ def polar_covariance(fit: RatioFit) -> Floats:
 
 def lock_in_u(fit: RatioFit) -> float:
     """Standard uncertainty of |z| of the first set."""
-    return float(size_us(fit[:1])[0])
+    return float(size_us(fit)[0])
 
 
 def size_us(fits: RatioFit) -> Floats:

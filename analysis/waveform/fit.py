@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 import scipy.special
 
-from analysis.arrays import Bools, Complexes, Floats, Indices, Ints, Samples
+from analysis.arrays import Bools, Complexes, Floats, Indices, Ints, Samples, Stacked
 from analysis.flags import FATAL, Flag
 from analysis.waveform.converter import (
     FEW_ERRORS,
@@ -78,7 +78,7 @@ FEWEST_SAMPLES = 12
 
 
 @dataclass(frozen=True)
-class WaveformFit:
+class WaveformFit(Stacked):
     """Fit of a stack of records."""
 
     # parameters (volts), phases from the middle of the record; the offset is less the record's mean
@@ -93,26 +93,10 @@ class WaveformFit:
     compared: Bools  # (R,) whether the fit has asked already if the parts of the record agree
     flags: Ints  # (R,)
 
-    def take(self, part: Indices) -> WaveformFit:
-        """Some of the records."""
-        return WaveformFit(self.series.take(part), *(getattr(self, f.name)[part] for f in fields(self)[1:]))
-
-    def put(self, part: Indices, other: WaveformFit) -> None:
-        """Write the other's records into the places `part` of this one."""
-        self.series.put(part, other.series)
-        for field in fields(WaveformFit)[1:]:
-            getattr(self, field.name)[part] = getattr(other, field.name)
-
 
 def fit_waveform(stack: Stack, clipped: Bools | None) -> WaveformFit:
     """Fit every record; `clipped` (R, N) marks samples known to stand at the converter's end, None: find them."""
-    return _joined([fit for part in stack.parts() for fit in _fit_what_can_be(stack, part, clipped)])
-
-
-def _joined(parts: list[WaveformFit]) -> WaveformFit:
-    series = Series(*(np.concatenate([getattr(p.series, f.name) for p in parts]) for f in fields(Series)))
-    others = (np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(WaveformFit)[1:])
-    return WaveformFit(series, *others)
+    return WaveformFit.joined([fit for part in stack.parts() for fit in _fit_what_can_be(stack, part, clipped)])
 
 
 def _fit_what_can_be(stack: Stack, part: slice, clipped: Bools | None) -> list[WaveformFit]:
@@ -128,18 +112,8 @@ def _fit_what_can_be(stack: Stack, part: slice, clipped: Bools | None) -> list[W
             none: Complexes = np.zeros(1, dtype=np.complex128)
             series = Series(nothing, none, none.copy(), np.ones(1))
             flags = np.array([int(Flag.NOT_LOCK_IN_LIKE)])
-            return [
-                WaveformFit(
-                    series,
-                    np.full((1, 6, 6), np.nan),
-                    np.ones((1, 3)),
-                    unknown,
-                    unknown,
-                    unknown + 0j,
-                    nothing > 0,
-                    flags,
-                )
-            ]
+            blank = np.full((1, 6, 6), np.nan), np.ones((1, 3)), unknown, unknown, unknown + 0j
+            return [WaveformFit(series, *blank, nothing > 0, flags)]
         middle = (first + stop) // 2
         halves = slice(first, middle), slice(middle, stop)
         return [fit for half in halves for fit in _fit_what_can_be(stack, half, clipped)]
@@ -167,7 +141,7 @@ def _fit_records(records: Records, clipped: Bools | None) -> WaveformFit:
     for rows, some in records.groups():
         place[rows] = sum(fit.flags.size for fit in fits) + np.arange(rows.size)
         fits.append(_fit_alike(some, None if clipped is None else clipped[rows]))
-    return _joined(fits).take(place)
+    return WaveformFit.joined(fits).take(place)
 
 
 def _fit_alike(records: Records, clipped: Bools | None) -> WaveformFit:

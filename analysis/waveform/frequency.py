@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any, Literal
 
@@ -11,7 +11,7 @@ import numpy as np
 import scipy.fft
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
-from analysis.arrays import Bools, Complexes, Floats, Indices, Samples
+from analysis.arrays import Bools, Complexes, Floats, Indices, Samples, Stacked
 
 Sizes = NDArray[np.float32]
 
@@ -19,7 +19,7 @@ TAKEN = 2.5  # bins on either side of a line that are taken to belong to it
 
 
 @dataclass(frozen=True)
-class SpectralStart:
+class SpectralStart(Stacked):
     """omega (R,) rad per sample; first, second (R,) amplitudes of the strongest line and at twice its frequency,
     phases from the middle of the record.
     """
@@ -32,13 +32,9 @@ class SpectralStart:
     def of(values: Samples) -> SpectralStart:
         """From centred records (R, N), a few at a time: their spectra are used up at once."""
         n_records, n_samples = values.shape
-        start = SpectralStart(np.empty(n_records), *np.empty((2, n_records), dtype=np.complex128))
         at_once = records_at_once(n_samples, np.float32)
-        for first in range(0, n_records, at_once):
-            here = slice(first, first + at_once)
-            some = Spectra.of(values[here]).start()
-            start.omega[here], start.first[here], start.second[here] = some.omega, some.first, some.second
-        return start
+        parts = [Spectra.of(values[first : first + at_once]).start() for first in range(0, n_records, at_once)]
+        return SpectralStart.joined(parts)
 
 
 @dataclass(frozen=True)
@@ -205,7 +201,7 @@ def are_all(rows: Indices, n_records: int) -> bool:
 
 
 @dataclass(frozen=True)
-class Records:
+class Records(Stacked):
     """Some records of a stack, ready to be fitted."""
 
     values: Samples  # (R, N) volts less `centre`, 0 where missing
@@ -218,13 +214,6 @@ class Records:
     at_lowest: Counts  # (R,) how many of one in `THINNING` samples have that value
     at_highest: Counts
     exact: Bools  # (R,) whether the exact fit is worth its time where the rate moves
-
-    def take(self, rows: Indices) -> Records:
-        """Some of the records."""
-        picked: dict[str, Any] = {field.name: getattr(self, field.name) for field in fields(self)}
-        for name, part in picked.items():
-            picked[name] = None if part is None else part[rows]
-        return Records(**picked)
 
     def groups(self) -> Iterator[tuple[Indices, Records]]:
         """Records without and with missing samples, and which they are: sums over all samples have a closed form,

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import itertools
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import scipy.special
 
-from analysis.arrays import Bools, Complexes, Floats, Indices, Ints, Samples
+from analysis.arrays import Bools, Complexes, Floats, Indices, Ints, Samples, Stacked
 from analysis.flags import Flag
 from analysis.waveform.frequency import Sizes, line_sizes, neighbours, records_at_once, sums_of_squares
 from analysis.waveform.series import Series, data_sums, sampled_blocks, sampled_series
@@ -151,7 +151,7 @@ GROSS_MISFIT_OF_A_CURVE = 0.002
 
 
 @dataclass(frozen=True)
-class Residual:
+class Residual(Stacked):
     """What a series leaves of (R,) records, without the samples themselves."""
 
     power: Floats  # (R,) sum of squares and largest size
@@ -172,11 +172,6 @@ class Residual:
         lines: Sizes = np.empty((n_records, n_samples // 2 + 1), dtype=np.float32)
         third = np.empty(n_records, dtype=np.complex128)
         return Residual(np.empty(n_records), np.empty(n_records, dtype=precision), lines, third)
-
-    def put(self, part: slice | Indices, other: Residual) -> None:
-        """Write the other's records into the places `part` of this one."""
-        self.power[part], self.largest[part] = other.power, other.largest
-        self.lines[part], self.third[part] = other.lines, other.third
 
 
 def residual_of(values: Samples, masks: Masks, series: Series) -> Residual:
@@ -207,7 +202,7 @@ def left_by(series: Series, values: Samples, weights: Samples | None) -> Samples
 
 
 @dataclass(frozen=True)
-class ResidualReport:
+class ResidualReport(Stacked):
     """flags : (R,); excess : (R, 3) variance factors of frequency, ratio size and ratio phase over white noise;
     uneven : (R,) where the spectrum is not flat, by lines or by broad humps; mean : (R,) mean power of a line;
     misfit : (R,) standard uncertainty of the ratio by what is no noise;
@@ -223,10 +218,6 @@ class ResidualReport:
     repeats: Bools
     stronger: Bools
     drifting: Bools
-
-    def take(self, part: Indices) -> ResidualReport:
-        """Some of the records."""
-        return ResidualReport(*(getattr(self, field.name)[part] for field in fields(self)))
 
 
 def examine_residual(

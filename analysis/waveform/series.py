@@ -18,10 +18,8 @@ import numpy as np
 import scipy.special
 from numpy.typing import DTypeLike
 
-from analysis.arrays import Bools, Complexes, Floats, Indices, Phasors, Samples
+from analysis.arrays import Complexes, Floats, Indices, Phasors, Samples, Stacked
 from analysis.waveform.frequency import are_all, never_alone, records_at_once
-
-Selection = Indices | Bools
 
 LARGEST_RATIO = 0.995
 """|q| is kept below this: x = 0.99999, where a record of a few periods holds no more information."""
@@ -38,7 +36,7 @@ MANY_HARMONICS = 40  # beyond this many, the closed form on the samples is cheap
 
 
 @dataclass(frozen=True)
-class Series:
+class Series(Stacked):
     """Parameters of records, phases counted from the middle of the record."""
 
     # offset (R,) real; first (R,) H; ratio (R,) q; omega (R,) rad per sample.
@@ -62,24 +60,6 @@ class Series:
             ratio,
             np.clip(self.omega + turned, 0.5 / n_samples, np.pi),
         )
-
-    def where(self, chosen: Bools, other: Series) -> Series:
-        """This series where chosen, the other elsewhere."""
-        return Series(
-            np.where(chosen, self.offset, other.offset),
-            np.where(chosen, self.first, other.first),
-            np.where(chosen, self.ratio, other.ratio),
-            np.where(chosen, self.omega, other.omega),
-        )
-
-    def take(self, part: Selection) -> Series:
-        """Some of the records."""
-        return Series(self.offset[part], self.first[part], self.ratio[part], self.omega[part])
-
-    def put(self, part: Selection, other: Series) -> None:
-        """Write the other's records into the places `part` of this one."""
-        self.offset[part], self.first[part] = other.offset, other.first
-        self.ratio[part], self.omega[part] = other.ratio, other.omega
 
 
 def orders_needed(ratio: float, negligible: float, fewest: int) -> int:
@@ -184,7 +164,7 @@ so they must be small indeed."""
 
 
 @dataclass(frozen=True)
-class SeriesSums:
+class SeriesSums(Stacked):
     """Sums over the samples of (R,) records, of which the normal equations are made."""
 
     counts: Floats  # (R, 3) of t^p
@@ -223,10 +203,6 @@ class SeriesSums:
             of_g = np.matmul(of_weights[:, :, 1:], of_powers)
         of_data = np.conj(data_sums(values, series.omega, n_harmonics, 1, lowest=1))
         return SeriesSums(counts, of_g, np.matmul(of_data, of_powers[:, :n_harmonics, :2]))
-
-    def put(self, part: Indices, other: SeriesSums) -> None:
-        """Write the other's records into the places `part` of this one."""
-        self.counts[part], self.of_g[part], self.of_data[part] = other.counts, other.of_g, other.of_data
 
 
 @cache
@@ -385,7 +361,7 @@ def empty_matrices(n_records: int, size: int) -> Floats:
 
 
 @dataclass(frozen=True)
-class Step:
+class Step(Stacked):
     """One Gauss-Newton step: normal matrix and gradient, frequency last (its unit: rad at the record's ends)."""
 
     normal: Floats
@@ -425,23 +401,6 @@ class Step:
         """Residual power after a full step, as the linear model predicts it, (R,)."""
         gained = np.vecdot(change, self.gradient)
         return np.asarray(np.maximum(self.residual_power - gained, 0.0))
-
-    def take(self, part: Indices) -> Step:
-        """Some of the records."""
-        return Step(self.normal[part], self.gradient[part], self.residual_power[part])
-
-    def where(self, chosen: Bools, other: Step) -> Step:
-        """This step where chosen, the other elsewhere."""
-        return Step(
-            np.where(chosen[:, np.newaxis, np.newaxis], self.normal, other.normal),
-            np.where(chosen[:, np.newaxis], self.gradient, other.gradient),
-            np.where(chosen, self.residual_power, other.residual_power),
-        )
-
-    def put(self, part: Indices | Bools, other: Step) -> None:
-        """Write the other's records into the places `part` of this one."""
-        self.normal[part], self.gradient[part] = other.normal, other.gradient
-        self.residual_power[part] = other.residual_power
 
 
 def _invert(matrix: Floats) -> None:

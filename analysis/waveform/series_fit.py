@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from analysis.arrays import Bools, Complexes, Floats, Indices, Samples
+from analysis.arrays import Bools, Complexes, Floats, Indices, Samples, Stacked
 from analysis.waveform.frequency import Spectra, SpectralStart, are_all, never_alone, sums, sums_of_squares
 from analysis.waveform.series import (
     LARGEST_RATIO,
@@ -89,9 +89,7 @@ def start_of_series(values: Samples, weights: Samples | None) -> Series:
     search.try_at(np.concatenate([lines, beside.reshape(len(lines), -1)], axis=1))
     slow = never_alone(np.flatnonzero(lines[:, 0] < FEW_PERIODS * one_bin))
     if slow.size:
-        some = search.take(slow)
-        some.try_at(np.broadcast_to(SLOW_GRID * one_bin, (slow.size, SLOW_GRID.size)))
-        search.put(slow, some)
+        search.try_at(np.broadcast_to(SLOW_GRID * one_bin, (slow.size, SLOW_GRID.size)), slow)
     for bins in REFINEMENTS:
         search.try_at(search.best.omega[:, np.newaxis] + np.array([-bins, bins]) * one_bin)
     return search.best
@@ -106,34 +104,23 @@ class _Search:
         self.best = Series(*(np.zeros(n_records, kind) for kind in (float, complex, complex, float)))
         self.left = np.full(n_records, np.inf)
 
-    def try_at(self, omega: Floats) -> None:
-        """Some more frequencies (R, C) for each record."""
+    def try_at(self, omega: Floats, part: slice | Indices = slice(None)) -> None:
+        """Some more frequencies (R, C) for each record, or for some of them."""
         n_samples = self.values.shape[1]
         omega = np.clip(omega, np.pi / n_samples, np.pi)
-        of_values, of_squares = (data_sums(v, omega, 2, 0)[:, :, 0] for v in (self.values, self.squares))
+        of_values, of_squares = (data_sums(v[part], omega, 2, 0)[:, :, 0] for v in (self.values, self.squares))
         if self.weights is None:
             ones = uniform_kernels(omega.ravel(), n_samples, 2)[:, 0].astype(np.complex128)
         else:
-            ones = data_sums(self.weights, omega, 2, 0)[:, :, 0]
+            ones = data_sums(self.weights[part], omega, 2, 0)[:, :, 0]
         sums = (part.reshape(-1, 3) for part in (ones, of_values, of_squares))
         tried, left = _equation_error_fit(omega.ravel(), *sums)
         rows = np.arange(len(omega))
         chosen = left.reshape(omega.shape).argmin(axis=1)
         best, left = tried.take(rows * omega.shape[1] + chosen), left.reshape(omega.shape)[rows, chosen]
-        better = left < self.left
-        self.best = best.where(better, self.best)
-        self.left = np.where(better, left, self.left)
-
-    def take(self, part: Indices) -> _Search:
-        """The search of some of the records."""
-        some = _Search(self.values[part], None if self.weights is None else self.weights[part])
-        some.best, some.left = self.best.take(part), self.left[part]
-        return some
-
-    def put(self, part: Indices, other: _Search) -> None:
-        """What a search of some of the records has found."""
-        self.best.put(part, other.best)
-        self.left[part] = other.left
+        better = left < self.left[part]
+        self.best.put(part, best.where(better, self.best.take(part)))
+        self.left[part] = np.where(better, left, self.left[part])
 
 
 def _equation_error_fit(
@@ -239,7 +226,7 @@ class Task:
 
 
 @dataclass(frozen=True)
-class SeriesFit:
+class SeriesFit(Stacked):
     """Fitted series, with the covariance (R, 6, 6) for unit noise and the residual power (R,) that go with it."""
 
     # The order is c0, Re H, Im H, Re q, Im q, w (rad at the record's ends).
@@ -253,11 +240,6 @@ class SeriesFit:
         """Room for the fit that starts at `series`."""
         n_records = series.omega.size
         return SeriesFit(series, empty_matrices(n_records, 6), np.zeros(n_records))
-
-    def put(self, part: Indices | Bools, other: SeriesFit) -> None:
-        """Write the other's records into the places `part` of this one."""
-        self.series.put(part, other.series)
-        self.covariance[part], self.residual_power[part] = other.covariance, other.residual_power
 
 
 def gauss_newton(task: Task, start: Series) -> tuple[SeriesFit, Bools]:

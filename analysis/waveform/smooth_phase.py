@@ -21,7 +21,7 @@ Not for motions that are fast beside the beat: `Path.fast` says how fast, and wh
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -30,7 +30,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.polynomial import legendre
 from scipy.linalg import lapack
 
-from analysis.arrays import Bools, Complexes, Floats, Indices, Ints, Samples
+from analysis.arrays import Bools, Complexes, Floats, Indices, Ints, Samples, Stacked
 
 SLOW = 4  # Legendre polynomials of amplitude and of offset
 OTHERS = 2 + 2 * SLOW  # parameters beside the path: s, c, amplitude, offset
@@ -51,7 +51,7 @@ LOOSEST, TIGHTEST = 1e-6, 1e14  # weights of the differences
 
 
 @dataclass(frozen=True)
-class Paths:
+class Paths(Stacked):
     """Fits of (R,) records; rates in rad per sample."""
 
     rate: Floats  # (R,) mean of a
@@ -291,8 +291,7 @@ def fit_smooth_phase(values: Floats, mask: Floats, phase: Floats | None = None) 
         with np.errstate(all="ignore"):  # a step too far gives nan, and the record goes to the exact fit
             some, basis = None if phase is None else phase[rows], _basis(values.shape[1], int(number))
             fits.append(_fit_alike(values[rows], mask[rows], line[rows], some, basis))
-    every = (np.concatenate([getattr(fit, field.name) for fit in fits])[place] for field in fields(Paths))
-    return Paths(*every)
+    return Paths.joined(fits).take(place)
 
 
 def _fit_alike(values: Floats, mask: Floats, line: Floats, phase: Floats | None, basis: _Basis) -> Paths:
@@ -318,8 +317,7 @@ def _fit_alike(values: Floats, mask: Floats, line: Floats, phase: Floats | None,
         order, weight = _improved(cut[rows], cut_mask[rows], count[rows], path, others, place, basis)
         again = _paths(cut[rows], cut_mask[rows], count[rows], path, others, place, weight, order, basis)
         better = again.variance < WORTH_A_STEP * paths.variance[rows]
-        for field in fields(Paths):
-            getattr(paths, field.name)[rows[better]] = getattr(again, field.name)[better]
+        paths.put(rows[better], again.take(better))
         stretched = np.flatnonzero(better & again.stretched)
         rows, path, place = rows[stretched], path[stretched], place[stretched]
         others = np.concatenate([others[stretched], np.zeros((rows.size, 1))], axis=1)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any
 
@@ -11,7 +11,7 @@ import scipy.linalg
 from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
-from analysis.arrays import Bools, Complexes, Floats, Indices, Ints, Samples
+from analysis.arrays import Bools, Complexes, Floats, Indices, Ints, Samples, Stacked
 from analysis.flags import Flag
 from analysis.waveform.frequency import never_alone
 from analysis.waveform.residuals import line_stands_out
@@ -64,7 +64,7 @@ WEAKEST = 0.3  # the same for the amplitude, over its largest: a beam that is we
 
 
 @dataclass(frozen=True)
-class MovingFits:
+class MovingFits(Stacked):
     """(R,) records, and the beats that gyros at their mean rates would have shown."""
 
     series: Series  # phases from the middle of the record
@@ -83,10 +83,6 @@ class MovingFits:
     # standard uncertainty of the size of the ratio where the rate stepped, because the time base may have stepped
     # instead
     stepped_u: Floats
-
-    def take(self, part: Indices) -> MovingFits:
-        """Some of the records."""
-        return MovingFits(self.series.take(part), *(getattr(self, f.name)[part] for f in fields(self)[1:]))
 
 
 def fit_moving_rate(values: Floats, mask: Floats) -> MovingFits | None:
@@ -468,10 +464,10 @@ def first_phase(values: Floats, mask: Floats) -> FirstPhase | None:
     crests, signs = starts + np.array([int(piece.argmax()) for piece in pieces]), side[starts]
     if crests.size < FEWEST_CRESTS:
         return None
-    envelope = _Envelope.of(crests[1:-1], smooth[crests[1:-1]], signs[1:-1], values.size)
-    if np.any(envelope.amplitude <= 0):
+    amplitude, offset, trusted, step = _envelope(crests[1:-1], smooth[crests[1:-1]], signs[1:-1], values.size)
+    if np.any(amplitude <= 0):
         return None
-    level = np.clip((smooth - envelope.offset) / envelope.amplitude, -1.0, 1.0)
+    level = np.clip((smooth - offset) / amplitude, -1.0, 1.0)
     passed = crests.copy()
     reached = np.abs(level[crests]) > REACHED
     if passed[0] == 0 or not reached[0]:
@@ -489,7 +485,7 @@ def first_phase(values: Floats, mask: Floats) -> FirstPhase | None:
             turns = np.rint((expected - (phase[stop] - phase[start - 1])) / (2 * np.pi))
             phase[start:stop] += np.linspace(0, 2 * np.pi * turns, stop - start)
             phase[stop:] += 2 * np.pi * turns
-    return FirstPhase(phase, envelope.amplitude, envelope.offset, envelope.trusted, envelope.step)
+    return FirstPhase(phase, amplitude, offset, trusted, step)
 
 
 def _smoothed(values: Floats) -> Floats:
@@ -506,34 +502,24 @@ def _smoothed(values: Floats) -> Floats:
     return np.fft.irfft(lines * np.exp(-np.log(2) * (bins / kept) ** 2), values.size)
 
 
-@dataclass(frozen=True)
-class _Envelope:
-    amplitude: Floats
-    offset: Floats
-    trusted: Bools
-    step: int | None
-
-    @staticmethod
-    def of(crests: Indices, heights: Floats, signs: Floats, n_samples: int) -> _Envelope:
-        """Amplitude and offset from what two neighbouring crests have in common, and in what they differ."""
-        middles, halves = (heights[1:] + heights[:-1]) / 2, (heights[:-1] - heights[1:]) / 2 * signs[:-1]
-        terms = min(ENVELOPE_TERMS, max(1, middles.size // 3))
-        columns = polynomials(n_samples).values[:terms]
-        between = (crests[1:] + crests[:-1]) // 2
-        amplitude = np.linalg.lstsq(columns[:, between].T, halves, rcond=None)[0] @ columns
-        trusted, places = np.ones(n_samples, dtype=bool), np.arange(n_samples)
-        number = _step_between(columns[:, between], middles)
-        if number is None:
-            return _Envelope(
-                amplitude, np.linalg.lstsq(columns[:, between].T, middles, rcond=None)[0] @ columns, trusted, None
-            )
-        # Middle `number` belongs to two crests, one on either side of the step.
-        step = int(between[number])
+def _envelope(
+    crests: Indices, heights: Floats, signs: Floats, n_samples: int
+) -> tuple[Floats, Floats, Bools, int | None]:
+    """Amplitude and offset from what two neighbouring crests have in common, and in what they differ."""
+    middles, halves = (heights[1:] + heights[:-1]) / 2, (heights[:-1] - heights[1:]) / 2 * signs[:-1]
+    terms = min(ENVELOPE_TERMS, max(1, middles.size // 3))
+    columns = polynomials(n_samples).values[:terms]
+    between = (crests[1:] + crests[:-1]) // 2
+    amplitude = np.linalg.lstsq(columns[:, between].T, halves, rcond=None)[0] @ columns
+    trusted, others, step = np.ones(n_samples, dtype=bool), np.ones(middles.size, dtype=bool), None
+    number = _step_between(columns[:, between], middles)
+    if number is not None:
+        # this middle belongs to two crests, one on either side of the step
+        step, others[number] = int(between[number]), False
         trusted[crests[number] : crests[number + 1] + 1] = False
-        behind = np.concatenate([columns, [(places >= step).astype(float)]])
-        others = np.arange(middles.size) != number
-        found = np.linalg.lstsq(behind[:, between[others]].T, middles[others], rcond=None)[0]
-        return _Envelope(amplitude, found @ behind, trusted, step)
+        columns = np.concatenate([columns, [(np.arange(n_samples) >= step).astype(float)]])
+    found = np.linalg.lstsq(columns[:, between[others]].T, middles[others], rcond=None)[0]
+    return amplitude, found @ columns, trusted, step
 
 
 def _step_between(columns: Floats, middles: Floats) -> int | None:

@@ -38,6 +38,7 @@ ABSOLUTE = {
     "p_value": 4e-4,
     "p_value_by_all": 4e-4,
     "least_error_seen": 1e-6,
+    "push": 1e-9,  # of the beat, as a share: one in 10^9 is nothing
     "_re": 1e-6,
     "_im": 1e-6,
 }

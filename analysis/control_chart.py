@@ -7,7 +7,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.optimize
 import scipy.special
 from numpy.typing import ArrayLike
 
@@ -136,7 +135,11 @@ def trend(at_days: ArrayLike, values: ArrayLike, u: ArrayLike, of: ArrayLike) ->
 
     most = float(plain @ plain) + float(variance.max())
     beyond = solved(0.0)[2] > 0
-    scatter = scipy.optimize.brentq(lambda one: solved(one)[2], 0.0, most) if beyond else 0.0
+    scatter = 0.0
+    if beyond:
+        from scipy.optimize import brentq  # takes longer to import than all else here
+
+        scatter = float(brentq(lambda one: solved(one)[2], 0.0, most))
     slope, slope_u, _ = solved(scatter)
     half = slope_u * float(scipy.special.stdtrit(freedom, 0.975) if beyond else scipy.special.ndtri(0.975))
     return Trend(slope, slope - half, slope + half, float(np.ptp(t)), y.size)

@@ -27,7 +27,6 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-import scipy.optimize
 import scipy.special
 
 from analysis.arrays import Bools, Floats, Indices
@@ -581,10 +580,10 @@ class _System:
         expected = max(within, self._chi_square(most)) + degrees
         if self._chi_square(least) <= expected:
             return 0.0
-        ends = math.log(least), math.log(most)
-        return math.exp(
-            float(scipy.optimize.brentq(lambda log: self._chi_square(math.exp(log)) - expected, *ends, xtol=1e-9))
-        )
+        while most > least * (1 + 1e-9):  # halved: scipy.optimize takes longer to import than all of this
+            middle = math.sqrt(least * most)
+            least, most = (least, middle) if self._chi_square(middle) <= expected else (middle, most)
+        return math.sqrt(least * most)
 
     def _chi_square(self, common: float) -> float:
         return float(self._white(common)[-1, -1] ** 2)

@@ -31,6 +31,7 @@ STANDSTILL = 1e-4
 
 FEWEST = 33  # points of the phase to begin with; twice as many until the last harmonics are `NEGLIGIBLE_LINE`
 
+FEWEST_LINES = 16  # on either side of a spectrum to begin with, in the same way
 NEGLIGIBLE_LINE = 1e-13
 ROUNDS = 30
 LONGEST_STEP = 0.5
@@ -126,12 +127,17 @@ def steady_beat(laser: TwoModeLaser, input_rate: float) -> SteadyBeat:
     """
     psi, logs, slowness = _path(laser, input_rate)
     turned, weight = beat_phase(psi, slowness)
-    # harmonics in time from a path in phase: c_n = (1/T) integral of x exp(-i n w t) (dt/dpsi) over psi
-    powers = np.multiply.accumulate(np.tile(np.exp(-1j * turned), (POINTS // 2, 1)))
-    kernel = np.concatenate([np.conj(powers[::-1]), np.ones((1, POINTS)), powers[:-1]]) * weight / POINTS
     intensities = np.exp(logs)
-    field = np.sqrt(intensities[0] * intensities[1]) * np.exp(1j * psi)
-    return SteadyBeat(_frequency(slowness), kernel @ field, np.asarray(intensities @ kernel.T))
+    signals = np.stack([np.sqrt(intensities[0] * intensities[1]) * np.exp(1j * psi), *intensities])
+    # harmonics in time from a path in phase: c_n = (1/T) integral of x exp(-i n w t) (dt/dpsi) over psi
+    count, lines = FEWEST_LINES // 2, signals
+    while count < POINTS // 2 and np.max(np.abs(lines[:, [0, 1, -2, -1]])) > NEGLIGIBLE_LINE:
+        count *= 2
+        powers = np.multiply.accumulate(np.tile(np.exp(-1j * turned), (count, 1)))
+        kernel = np.concatenate([np.conj(powers[::-1]), np.ones((1, POINTS)), powers[:-1]]) * weight / POINTS
+        lines = signals @ kernel.T
+    lines = np.pad(lines, ((0, 0), (POINTS // 2 - count,) * 2))
+    return SteadyBeat(_frequency(slowness), lines[0], lines[1:])
 
 
 def _frequency(slowness: Floats) -> float:

@@ -9,6 +9,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from station.errors import UsageError
 
 if TYPE_CHECKING:
@@ -86,17 +88,38 @@ def _drawn(name: str, size: tuple[float, float], draw: Callable[[Figure], None],
     import matplotlib
     from matplotlib.backends.backend_svg import FigureCanvasSVG
     from matplotlib.figure import Figure
-    from matplotlib.layout_engine import ConstrainedLayoutEngine
 
     style: Any = STYLE | {"svg.hashsalt": f"gyrolock-{name}"}
     with matplotlib.rc_context(style):
         figure = Figure(figsize=size, dpi=72)
         FigureCanvasSVG(figure)
         draw(figure)
-        ConstrainedLayoutEngine().execute(figure)  # once: with an engine of its own a figure is drawn twice
+        _make_room(figure)
         file = io.BytesIO()
         figure.savefig(file, format=kind, **how)
     return file.getvalue()
+
+
+def _make_room(figure: Figure) -> None:
+    """Place the axes so that what stands about them has room: once, where matplotlib's layout measures twice."""
+    drawn: list[Any] = figure.axes  # all of one grid
+    grid = drawn[0].get_gridspec()
+    counts, around, gaps = np.array([grid.ncols, grid.nrows]), np.zeros((2, 2)), np.zeros((2, 2))
+    for axes in drawn:
+        spec, box, own = axes.get_subplotspec(), axes.get_tightbbox(for_layout_only=True), axes.get_window_extent()
+        outside = (own.x0 - box.x0, box.x1 - own.x1), (own.y0 - box.y0, box.y1 - own.y1)  # pixels
+        columns, rows = spec.colspan, spec.rowspan
+        ends = (columns.start == 0, columns.stop == grid.ncols), (rows.stop == grid.nrows, rows.start == 0)
+        room = np.maximum(outside, 0.0)
+        around, gaps = np.maximum(around, np.where(ends, room, 0)), np.maximum(gaps, np.where(ends, 0, room))
+    around, between = around + _PAD, gaps.sum(axis=1) + 2 * _PAD
+    size = np.array([figure.bbox.width, figure.bbox.height])
+    free = (size - around.sum(axis=1) - (counts - 1) * between) / counts
+    (left, bottom), (right, top) = around[:, 0] / size, 1 - around[:, 1] / size
+    figure.subplots_adjust(left, bottom, right, top, *(between / free))
+
+
+_PAD = 6.0  # pixels: where there is other room there may be other ticks
 
 
 def _embeddable(svg: str, name: str) -> str:

@@ -21,8 +21,8 @@ PACKAGES: list[str] = BUILD["targets"]["wheel"]["packages"]
 EVERYWHERE = [*PACKAGES, "benchmarks", "tests"]
 
 
-# shorter than a chapter: they declare what all others use
-DECLARATIONS = {"analysis/arrays.py", "station/results/numbers.py"}
+# shorter than a chapter: it declares what all others use
+DECLARATIONS = {"station/results/numbers.py"}
 
 # public names that two faces share: a measurement of the scope and of the station, the Result of a notebook
 NAMES_OF_TWO_FACES = {"Measurement", "Result"}

@@ -188,6 +188,45 @@ def combine_dithered(each: DitheredEstimate) -> DitheredEstimate:
     )
 
 
+def dithered_bound(
+    coupling: complex,
+    dither: complex,
+    *,
+    scale_factor: float,
+    dither_frequency: float,
+    sample_interval: float,
+    n_samples: int,
+    noise: float,
+    bias: float = 0.0,
+    start: float = 0.0,
+    gain_corner: float = 1e4,
+) -> float:
+    """Smallest standard uncertainty, deg/s, that one record leaves to any estimator of (2) (Cramér and Rao).
+
+    Parameters
+    ----------
+    coupling : complex
+        WL exp(i b), deg/s.
+    dither : complex
+        Its amplitude in the middle of the record, deg/s: the rate is bias + Re[dither exp(2 pi i f t)] there.
+    sample_interval, n_samples, noise
+        Of the record: s, and the rms of white noise over the amplitude of the beat.
+    bias, start, gain_corner : float, optional
+        deg/s; phase of the beat in the first sample, rad; Hz, of light that follows as in beams that are alike.
+    """
+    motion, per_rate = _Motion(n_samples, sample_interval, dither_frequency), 2 * math.pi * scale_factor
+    swing = np.repeat([dither.real, -dither.imag], len(motion.splines)) * scale_factor
+    moved = np.concatenate([[bias * scale_factor], swing, np.zeros(len(motion.rates) - 1 - swing.size)])
+    z, corner = per_rate * coupling, 2 * math.pi * gain_corner
+    light = z / corner
+    values = np.array([0, 1, start, *moved, z.real, z.imag, 0, 0, light.real, light.imag, 0, math.log(corner)])
+    columns = _left(values, np.zeros(n_samples), motion, noise / _GAIN_CORNER_U)[1]
+    scale = np.linalg.norm(columns, axis=0)
+    way = np.zeros(scale.size)
+    way[-8:-6] = np.array([z.real, z.imag]) / abs(z) / scale[-8:-6]
+    return float(noise * np.linalg.norm(way @ np.linalg.pinv(columns / scale))) / per_rate
+
+
 _MIRROR = np.array([-1.0, 1.0])
 
 

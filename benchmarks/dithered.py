@@ -3,7 +3,8 @@
 Lock-in rates of 0.02 to 0.2 deg/s, dithers of 50 to 150 deg/s at 300 to 600 Hz whose amplitude breathes by 2 %
 from period to period, bias of -2 to 2 deg/s, gain corners of 2 to 30 kHz that the light follows (2.12), receivers
 of 3 to 10 times the fastest beat, eight bits. Printed for each length of the record in dither periods: how many
-give a number without a doubt, their coverage, the rms of error over u, the median u, and the largest error over u.
+give a number without a doubt, their coverage, the rms of error over u, and over the bound of Cramér and Rao for
+this laser, the median u, and the largest error over u.
 """
 
 from __future__ import annotations
@@ -16,20 +17,23 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from analysis.arrays import Floats
-from analysis.dithered import DitherFlag, estimate_dithered
+from analysis.dithered import DitherFlag, dithered_bound, estimate_dithered
 
 K, SAMPLES, FINER, NOISE, FILL, BREATH = 2000.0, 2500, 8, 0.6, 90, 0.02
 FASTEST = 0.38  # beats in a sample
 LENGTHS = (0.6, 1.0, 1.5, 2.0, 3.0, 6.0, 12.0)
 
 
-def records(rng: np.random.Generator, count: int, periods: float, dither: float) -> tuple[Floats, Floats, float]:
-    """Volts (count, SAMPLES), true lock-in rates and the sample interval: fourth-order Runge and Kutta."""
+def records(
+    rng: np.random.Generator, count: int, periods: float, dither: float
+) -> tuple[Floats, Floats, float, Floats]:
+    """Volts (count, SAMPLES), true lock-in rates, sample interval, bounds: fourth-order Runge and Kutta."""
     step = periods / dither / SAMPLES / FINER
     most = min(150.0, FASTEST / (step * FINER) / K - 2)
     swing, bias = rng.uniform(min(50.0, most), most, count), rng.uniform(-2, 2, count)
     true, phase = np.exp(rng.uniform(math.log(0.02), math.log(0.2), count)), rng.uniform(0, 2 * np.pi, count)
-    begin, psi = rng.uniform(0, 2 * np.pi, (2, count))
+    begin, starts = rng.uniform(0, 2 * np.pi, (2, count))
+    psi = starts
     knots = (np.arange(math.ceil(periods) + 4) - 2) / dither
     breath = CubicSpline(knots, 1 + BREATH * rng.standard_normal((knots.size, count)))
 
@@ -54,7 +58,22 @@ def records(rng: np.random.Generator, count: int, periods: float, dither: float)
         three = middle - pull * np.sin(psi + step / 2 * two + phase)
         four = after - pull * np.sin(psi + step * three + phase)
         psi = psi + step / 6 * (one + 2 * two + 2 * three + four)
-    return np.round(FILL * seen + NOISE * rng.standard_normal(seen.shape)) / FILL, true, step * FINER
+    middle = begin + np.pi * periods  # phase of the dither there
+    # rounding to codes is noise of a twelfth of a squared level
+    bench = {"scale_factor": K, "dither_frequency": dither, "sample_interval": step * FINER, "n_samples": SAMPLES}
+    bounds = [
+        dithered_bound(
+            wl * np.exp(1j * b), rate * np.exp(1j * turn), noise=math.hypot(NOISE, 12**-0.5) / FILL,
+            bias=w0, start=first, gain_corner=g / 2 / math.pi, **bench,
+        )
+        for wl, b, rate, turn, w0, first, g in zip(true, phase, swing, middle, bias, starts, gain, strict=True)
+    ]  # fmt: skip
+    return (
+        np.round(FILL * seen + NOISE * rng.standard_normal(seen.shape)) / FILL,
+        true,
+        step * FINER,
+        np.array(bounds),
+    )
 
 
 def main() -> None:
@@ -64,11 +83,11 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     asked = parser.parse_args()
     rng = np.random.default_rng(asked.seed)
-    heads = ("periods", "usable", "covered", "error/u", "u, deg/s", "worst/u")
-    sys.stdout.write("".join(f"{head:>10s}" for head in heads) + "\n")
+    heads = ("periods", "usable", "covered", "error/u", "error/bound", "u, deg/s", "worst/u")
+    sys.stdout.write("".join(f"{head:>12s}" for head in heads) + "\n")
     for periods in LENGTHS:
         dither = float(rng.uniform(300, 600))
-        volts, true, interval = records(rng, asked.records, periods, dither)
+        volts, true, interval, bounds = records(rng, asked.records, periods, dither)
         each = estimate_dithered(
             volts, interval, scale_factor=K, dither_frequency=dither * rng.uniform(0.99, 1.01)
         )
@@ -80,10 +99,11 @@ def main() -> None:
             float(usable.mean()),
             float(held.mean()),
             math.sqrt(float(np.mean(off**2))),
+            math.sqrt(float(np.mean(((each.lock_in_rate - true) / bounds)[usable] ** 2))),
             float(np.median(each.lock_in_rate_u[usable])),
             float(np.max(np.abs(off))),
         )
-        sys.stdout.write("".join(f"{cell:10.3g}" for cell in cells) + "\n")
+        sys.stdout.write("".join(f"{cell:12.3g}" for cell in cells) + "\n")
         sys.stdout.flush()
 
 

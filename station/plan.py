@@ -11,8 +11,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from analysis import harmonic_ratio, lock_in_from_rate
+from analysis.arrays import NORMAL_95
 from analysis.plan import (
     FEW_RATES,
+    FEWEST_RECORDS,
     Plan,
     PlannedRate,
     PlanRequest,
@@ -25,14 +27,16 @@ from analysis.plan import (
     uncertainty_curve,
 )
 from analysis.rotation import EARTH_RATE_DPS
-from station.errors import NoUsableSignal, UsageError
+from instrument.scpi import DIVISIONS
+from station.errors import NoUsableSignal, StationError, UsageError
+from station.lock_in import dithered
 from station.lock_in.rate_plan import rate_plan, records_at_each
 from station.lock_in.result import budget_document
 from station.lock_in.settings import Settings, bench_knowledge
 from station.measurements import measurement
 from station.report.figure import ACCENT, INK, SECOND, SOFT, THIRD, legend_above, write_picture
 from station.results.numbers import BEAT_FREQUENCY, INPUT_RATE, LOCK_IN_RATE, NOISE_RMS, SCALE_FACTOR
-from station.results.result import with_prefix
+from station.results.result import TextTable, with_prefix
 from station.scope.autoset import oscilloscope_steps
 
 if TYPE_CHECKING:
@@ -262,7 +266,7 @@ def predict(name: str, settings: Mapping[str, Any]) -> Prediction:
     kind = measurement(name)
     values = kind.kind.model.model_validate(dict(settings))
     if isinstance(values, Settings):
-        return _lock_in(values)
+        return _lock_in(values) if name == "measure" else _dithered(values)
     return Prediction(kind.seconds(values), why_not="is not predicted for this measurement")
 
 
@@ -285,6 +289,83 @@ def _lock_in(settings: Settings) -> Prediction:
         seconds += senses * (settings.table.settle_s + settings.measurement.tilt_records * each)
     rates = tuple(sorted(step.sense * step.over_lock_in for step in steps.steps))
     return Prediction(seconds, planned.budget.combined_u, planned.budget.expanded_u_95, "", rates, records)
+
+
+def _dithered(settings: Settings) -> Prediction:
+    records, expected = settings.dither.records, settings.gyro.expected_lock_in_rate_dps
+    try:
+        request = plan_request(settings, PlanOptions(rates=()))
+        base = dithered.time_base(settings)
+    except (ValueError, StationError) as error:
+        return Prediction(None, why_not=str(error))
+    _, u = dithered.predicted_u(settings, base, expected, _noise_over_amplitude(request))
+    whole = math.hypot(u / math.sqrt(records), dithered.common_share(settings) * expected)
+    seconds = (records + _TRIALS) * (base * DIVISIONS + request.seconds_between_records)
+    return Prediction(seconds, whole, NORMAL_95 * whole, records=records)
+
+
+def _noise_over_amplitude(request: PlanRequest) -> float:
+    return math.hypot(request.noise_rms / request.amplitude, request.noise_levels / request.fill_levels)
+
+
+def plan_dithered(settings: Settings, options: PlanOptions) -> dict[str, Any]:
+    """Plan a measurement of a gyro that dithers: what each time base gives, as plain JSON."""
+    try:
+        request = plan_request(settings, replace(options, rates=()))
+    except ValueError as error:
+        raise UsageError(str(error)) from None
+    expected = request.lock_in_rate
+    stated = {SCALE_FACTOR.key(): request.scale_factor, "expected_lock_in_rate_dps": expected}
+    settings = settings.model_copy(update={"gyro": settings.gyro.model_copy(update=stated)})
+    floor, rows = dithered.common_share(settings), list[dict[str, Any]]()
+    for base in dithered.time_bases(settings):
+        periods, u = dithered.predicted_u(settings, base, expected, _noise_over_amplitude(request))
+        left = (request.wanted_u**2 - floor**2) ** 0.5 if request.wanted_u > floor else math.nan
+        records = max(FEWEST_RECORDS, math.ceil((u / expected / left) ** 2)) if left > 0 else None
+        each = base * DIVISIONS + request.seconds_between_records
+        rows.append(
+            {
+                "seconds_per_division_s": base,
+                "dither_periods": periods,
+                "u_percent_of_one_record": 100 * u / expected,
+                "records": records,
+                "duration_s": None if records is None else records * each,
+            }
+        )
+    reached = rows[0]["records"] is not None
+    best = min(rows, key=lambda row: row["duration_s"] if reached else row["u_percent_of_one_record"])
+    return {
+        LOCK_IN_RATE.key(): expected,
+        SCALE_FACTOR.key(): request.scale_factor,
+        "wanted_u_percent": 100 * request.wanted_u,
+        "floor_u_percent": 100 * floor,
+        "reached": reached,
+        "time_bases": rows,
+        "best": best,
+    }
+
+
+def dithered_words(plan: Mapping[str, Any]) -> tuple[str, TextTable]:
+    """Return a plan of a gyro that dithers as a sentence and a table."""
+    best, wanted = plan["best"], plan["wanted_u_percent"]
+    where = f"{best['dither_periods']:.2g} dither periods ({with_prefix(best['seconds_per_division_s'], 's/div')})"
+    said = (
+        f"{best['records']} records of {where}, about {duration_words(best['duration_s'])}: the lock-in rate to "
+        f"{wanted:.3g} % (k = 1)."
+        if plan["reached"]
+        else f"{wanted:.3g} % cannot be reached: scale factor and time base are known to "
+        f"{plan['floor_u_percent']:.2g} %. A record of {where} tells most."
+    )
+    rows = tuple(
+        (
+            with_prefix(row["seconds_per_division_s"], "s/div"),
+            f"{row['dither_periods']:.2g}",
+            f"{row['u_percent_of_one_record']:.2g} %",
+            "none" if row["records"] is None else str(row["records"]),
+        )
+        for row in plan["time_bases"]
+    )
+    return said, TextTable(("time base", "dither periods", "u of one record", "records"), rows)
 
 
 # --------------------

@@ -102,6 +102,9 @@ def _numbers(_context: click.Context, _option: click.Parameter, text: str | None
     metavar="DEG",
     help="Its standard uncertainty.",
 )
+@click.option(
+    "--dither", type=click.Choice(["on", "off"]), help="on: the gyro's body dithers, as [dither] says [settings]."
+)
 @click.option("--baud", type=click.IntRange(300, 1_000_000), metavar="B", help="Of a serial link [settings].")
 @click.option(
     "--transfer", "transfer_s", type=click.FloatRange(min=0), metavar="S", help="Seconds a record [from --baud]."
@@ -111,19 +114,31 @@ def _numbers(_context: click.Context, _option: click.Parameter, text: str | None
 )
 @config_option
 @json_option
-def plan_command(plot: Path | None, config: Path | None, as_json: bool, **options: Any) -> int:
+def plan_command(plot: Path | None, config: Path | None, dither: str | None, as_json: bool, **options: Any) -> int:
     """Plan a measurement: which rate, time base, vertical scale, and how many records.
 
     Exit code 1 if the wanted uncertainty cannot be reached; the plan then is the best there is.
     """
     from station.errors import EXIT_FAIL, EXIT_OK
     from station.lock_in.settings import load_settings
-    from station.plan import PlanOptions, make_plan, plan_document, plan_sentences
+    from station.plan import PlanOptions, make_plan, plan_dithered, plan_document, plan_sentences
     from station.report.figure import check_picture_name
 
     if plot is not None:
         check_picture_name(plot)
-    planned = make_plan(load_settings(config), PlanOptions(**options))
+    settings, chosen = load_settings(config), PlanOptions(**options)
+    if dither == "on" or (dither is None and settings.dither.on):
+        if plot is not None or options["rates"] or options["reference"] == "rate":
+            raise click.UsageError(
+                "a gyro that dithers is measured at rest: no --plot, --rates or --reference rate"
+            )
+        found = plan_dithered(settings, chosen)
+        if as_json:
+            print_json(found)
+        else:
+            _print_dithered(found)
+        return EXIT_OK if found["reached"] else EXIT_FAIL
+    planned = make_plan(settings, chosen)
     sentences = plan_sentences(planned)
     if plot is not None:
         from station.plan import write_plan_plot
@@ -134,6 +149,18 @@ def plan_command(plot: Path | None, config: Path | None, as_json: bool, **option
     else:
         _print(planned, sentences, plot)
     return EXIT_OK if planned.plan.reached else EXIT_FAIL
+
+
+def _print_dithered(found: dict[str, Any]) -> None:
+    from station.live.console import stdout_console
+    from station.plan import dithered_words
+    from station.report.show import text_table
+
+    said, table = dithered_words(found)
+    console = stdout_console()
+    console.print(text_table(table, left=1))
+    say_briefly(said)
+    console.print(f"\n• {said}")
 
 
 def _print(planned: PlannedMeasurement, sentences: list[str], plot: Path | None) -> None:

@@ -20,6 +20,7 @@ from analysis.dithered import (
     DitheredEstimate,
     DitherFlag,
     combine_dithered,
+    dithered_bound,
     estimate_dithered,
     lock_in_of_random_walk,
 )
@@ -109,7 +110,7 @@ def evaluate(run: SavedRun, settings: Settings, choices: Mapping[str, Any]) -> D
     except NoFit:
         raise NoUsableSignal(f"no record of the dithered gyro can be used: {spoilt[0].reason}") from None
     value, noise_u = float(made.lock_in_rate[0]), float(made.lock_in_rate_u[0])
-    share = _common_share(settings)
+    share = common_share(settings)
     low, high = (float(end[0]) for end in (made.lock_in_rate_low_95, made.lock_in_rate_high_95))
     wider = NORMAL_95 * share * value
     seen = float(made.dither_rate[0])  # nan where no record holds a whole period
@@ -146,7 +147,7 @@ def evaluate(run: SavedRun, settings: Settings, choices: Mapping[str, Any]) -> D
     return replace(found, flags=tuple(flags))
 
 
-def _common_share(settings: Settings) -> float:
+def common_share(settings: Settings) -> float:
     """Standard uncertainty of scale factor and time base, which all records share, as a share of the result."""
     stated = settings.budget
     factor_u = 1e-6 * stated.scale_factor_u_ppm if stated is not None else 0.0
@@ -319,6 +320,9 @@ def facts(found: DitheredEvaluation, run: SavedRun, settings: Settings) -> list[
 
 PURPOSE = "dither"
 _SPARE, _FILL_LEVELS = 1.08, 100.0  # of the dither's rate, for what it swings more than stated; of 127
+_LEAST_PERIODS, _MOST_PERIODS = 0.6, 20.0
+_MORE = 1.25  # than asked for, where the steps of the time base want it
+_DRAWN = 8  # phases of beat, dither and coupling: another in every record
 
 
 def take(settings: Settings, session: Acquisition) -> None:
@@ -363,16 +367,41 @@ def time_base(settings: Settings) -> float:
     UsageError
         The dither's frequency is not stated, or no time base shows half a period of it without aliases.
     """
-    dither, frequency, factor = settings.dither, _frequency(settings), settings.gyro.scale_factor_pulses_per_deg
-    fastest = factor * _SPARE * dither.rate_dps
-    longest = min(_MORE * dither.periods / frequency, POINTS * LONGEST_STEP / fastest)
-    fitting = [base for base in TIME_BASES if base * DIVISIONS <= longest]
-    if not fitting or fitting[-1] * DIVISIONS * frequency < _LEAST_PERIODS:
+    return time_bases(settings, _MORE * settings.dither.periods)[-1]
+
+
+def time_bases(settings: Settings, most_periods: float = _MOST_PERIODS) -> list[float]:
+    """Return the time bases that show up to so many dither periods without aliases; errors as `time_base`."""
+    frequency, factor = _frequency(settings), settings.gyro.scale_factor_pulses_per_deg
+    fastest = factor * _SPARE * settings.dither.rate_dps
+    longest = min(most_periods / frequency, POINTS * LONGEST_STEP / fastest)
+    fitting = [base for base in TIME_BASES if _LEAST_PERIODS / frequency <= base * DIVISIONS <= longest]
+    if not fitting:
         raise UsageError(
             f"a beat of up to {fastest:.3g} Hz and a dither of {frequency:g} Hz: no time base shows "
             f"{_LEAST_PERIODS:g} dither periods with two samples a beat (dither.rate_dps, dither.periods)"
         )
-    return fitting[-1]
+    return fitting
+
+
+def predicted_u(settings: Settings, base: float, lock_in_rate: float, noise: float) -> tuple[float, float]:
+    """Dither periods in a record, and the u (deg/s) that its noise, over the amplitude of the beat, leaves."""
+    frequency, draws = _frequency(settings), np.random.default_rng(0).uniform(size=(_DRAWN, 3))
+    levels = 12**-0.5 / _FILL_LEVELS
+    each = [
+        dithered_bound(
+            lock_in_rate * np.exp(2j * np.pi * own),
+            settings.dither.rate_dps * np.exp(2j * np.pi * turn),
+            start=2 * np.pi * start,
+            scale_factor=settings.gyro.scale_factor_pulses_per_deg,
+            dither_frequency=frequency,
+            sample_interval=base * DIVISIONS / POINTS,
+            n_samples=POINTS,
+            noise=math.hypot(noise, levels),
+        )
+        for own, turn, start in draws
+    ]
+    return base * DIVISIONS * frequency, math.sqrt(np.mean(np.square(each)))
 
 
 def _frequency(settings: Settings) -> float:
@@ -383,8 +412,6 @@ def _frequency(settings: Settings) -> float:
         raise UsageError("dither.frequency_hz is not stated: the frequency of the dither, to 3 % ([dither])")
     return settings.simulation.dither.frequency_hz
 
-
-_LEAST_PERIODS, _MORE = 0.6, 1.25  # than asked for, where the steps of the time base want it
 
 MEASUREMENT = Measurement(
     name=PURPOSE,

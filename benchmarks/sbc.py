@@ -3,7 +3,10 @@
 Simulation-based calibration: every unknown of a bench is drawn from what is stated of it, or from its bound where
 nothing is; its records are made (beat, gain saturation, distortion, one pole, noise, rounding) and evaluated as
 `gyrolock measure` does. Then the place of the true lock-in rate in the answer is uniform: the Kolmogorov-Smirnov
-test says with which chance, beside pull (rms of error over u), coverage of the 95 % interval and doubtful results.
+test says with which chance, beside pull (rms of error over u) and coverage of the 95 % interval of all results but
+those that call themselves doubtful, whose share is told too.
+
+Runs with beams are those of `benchmarks.beams`: lasers with any coupling, integrated in time.
 
 `--drift` lets phase and lock-in rate go by so much of their bounds (1) over each run. `--faults` takes runs with
 something wrong instead that nobody stated: of each kind how many miss without a word, by 1.96 and by 5 u.
@@ -41,6 +44,8 @@ from analysis.flags import DOUBTFUL
 from analysis.lock_in_run import AxisRates, Batch, Method, RecordArrays, RunArrays, RunKnowledge, evaluate
 from analysis.plan import default_rates, off_mains, run_order
 from analysis.ring_laser import Detector, Gyro, Winking, detector_signal
+from analysis.single_beams import BeamsFlag
+from benchmarks import beams
 
 K, WL, SAMPLES, PERIODS, HUM_HZ = 2000.0, 0.01, 2500, 20.3, 50.0
 LATITUDE, NOISE, LEVEL = 28.2, 0.01, 0.01
@@ -65,6 +70,13 @@ PLANS = {
     "two rates in one sense": Plan((3.0, 30.0), 8),
     "one rate in both senses": Plan((8.0, -8.0), 20),
     "channel unstated": Plan((*DEFAULT, *(-rate for rate in DEFAULT)), 4, stated=False),
+}
+
+
+WITH_BEAMS = {
+    "with beams, both senses": "3 5 9 17 30, both senses",
+    "with beams, one sense": "3 5 9 17 30, one sense",
+    "with beams, few rates": "3 30, one sense",
 }
 
 
@@ -217,6 +229,15 @@ def outcome(plan: Plan, drift: float, fault: Fault | None, seed: int) -> Outcome
     )
 
 
+def outcome_with_beams(name: str, seed: int) -> Outcome | None:
+    """Draw a laser, take beat and beams, fit them; ``None``: no laser fits, and the run says so."""
+    found = beams.outcome(beams.PLANS[WITH_BEAMS[name]], seed)
+    if found is None:
+        return None
+    doubtful = bool(found.flags & BeamsFlag.MISFIT)
+    return Outcome(-found.pull, float(scipy.special.ndtr(-found.pull)), found.covered, found.u, doubtful)
+
+
 def _signal(
     gyro: Gyro, receiver: Detector, fifth: float, channel: Channel, rate: float, turns: Floats, beat: float
 ) -> Floats:
@@ -274,10 +295,15 @@ def main() -> None:
 
 def _plans(workers: Executor, seeds: range, only: str, drift: float) -> None:
     sys.stdout.write(f"{'run':28s}{'pull':>6s}{'covered':>9s}{'u, %':>8s}{'doubtful':>10s}{'KS p':>8s}\n")
-    for name in (name for name in PLANS if only in name):
-        found = list(workers.map(partial(outcome, PLANS[name], drift, None), seeds))
-        pull = math.sqrt(np.mean([each.pull**2 for each in found]))
-        covered, doubtful = (np.mean([getattr(e, f) for e in found]) for f in ("covered", "doubtful"))
+    for name in (name for name in (*PLANS, *WITH_BEAMS) if only in name):
+        if name in PLANS:
+            every = workers.map(partial(outcome, PLANS[name], drift, None), seeds)
+        else:
+            every = workers.map(partial(outcome_with_beams, name), seeds)
+        found = [each for each in every if each is not None]
+        doubtful = float(np.mean([each.doubtful for each in found]))
+        found = [each for each in found if not each.doubtful]
+        pull, covered = math.sqrt(np.mean([e.pull**2 for e in found])), float(np.mean([e.covered for e in found]))
         u = 100 * np.median([each.relative_u for each in found])
         chance = scipy.stats.kstest([each.place for each in found], "uniform").pvalue
         sys.stdout.write(f"{name:28s}{pull:6.2f}{covered:9.3f}{u:8.3f}{doubtful:10.3f}{chance:8.3f}\n")

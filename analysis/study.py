@@ -96,7 +96,9 @@ def phase_study(curves: Sequence[tuple[float, float]], points: int = 37) -> Erro
 def rate_study(lock_in_rates: Sequence[float], rates: Floats) -> ErrorStudy:
     """Largest error over the initial phase against the input rate (Fig. 5)."""
     curves = tuple((float("nan"), lock_in) for lock_in in lock_in_rates)
-    return _largest(rates, curves, Gyros.of(rates[:, np.newaxis], _column(lock_in_rates), _phases()))
+    return _largest(
+        rates, curves, Gyros.of(rates[:, np.newaxis], np.reshape(lock_in_rates, (-1, 1, 1)), _phases())
+    )
 
 
 def lock_in_study(lock_in_rates: Floats, input_rate: float = 1.0) -> ErrorStudy:
@@ -126,10 +128,6 @@ def _formula(gyros: Gyros) -> Floats:
 
 def _phases() -> Floats:
     return np.linspace(0, 2 * np.pi, PHASES, endpoint=False)
-
-
-def _column(values: Sequence[float]) -> Floats:
-    return np.asarray(values, dtype=np.float64)[:, np.newaxis, np.newaxis]
 
 
 # --------------------

@@ -316,15 +316,14 @@ class RunFilter:
 
     def admits(self, entry: Entry) -> bool:
         """Whether a run is wanted."""
+        names = "command", "unit", "operator", "gyro"
+        notes = [entry.note or "", *(str(one.get("note", "")) for one in entry.remarks)]
         return (
-            all(
-                _like(getattr(entry, name), getattr(self, name))
-                for name in ("command", "unit", "operator", "gyro")
-            )
+            all(_like(getattr(entry, name), getattr(self, name)) for name in names)
             and self.verdict in ("", entry.verdict or NO_LIMITS)
             and self.mark in ("", entry.mark or NO_LIMITS)
             and set(self.tags) <= set(entry.tags)
-            and (not self.text or self.text.casefold() in _notes(entry).casefold())
+            and (not self.text or any(self.text.casefold() in note.casefold() for note in notes))
             and entry.started_at >= self.since
             and (not self.until or entry.started_at[: len(self.until)] <= self.until)
         )
@@ -361,10 +360,6 @@ ORDERS: dict[str, Callable[[Entry], Any]] = {
 
 def _like(text: str | None, pattern: str) -> bool:
     return not pattern or fnmatch.fnmatchcase((text or "").casefold(), pattern.casefold())
-
-
-def _notes(entry: Entry) -> str:
-    return "\n".join([entry.note or "", *(str(one.get("note", "")) for one in entry.remarks)])
 
 
 # --------------------

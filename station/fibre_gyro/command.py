@@ -217,7 +217,7 @@ def _log_options(function: F) -> F:
     options = (
         click.option(
             "--columns",
-            callback=_names,
+            callback=lambda _, __, text: None if text is None else [name.strip() for name in text.split(",")],
             metavar="NAMES",
             help="Columns of logs in their order: time,counts or time,counts_x,,counts_z; empty: left out.",
         ),
@@ -242,10 +242,6 @@ def _log_options(function: F) -> F:
     for option in reversed(options):
         function = option(function)
     return function
-
-
-def _names(_: click.Context, __: click.Parameter, value: str | None) -> list[str] | None:
-    return None if value is None else [name.strip() for name in value.split(",")]
 
 
 def _run(name: str, paths: tuple[Path, ...], given: dict[str, Any], **more: Any) -> int:

@@ -468,11 +468,9 @@ def _number(text: str) -> float:
     return value
 
 
-def _whole(text: str) -> int:
-    return int(text) if _number(text) else 0
-
-
-STRICT_JSON = json.JSONDecoder(parse_float=_number, parse_int=_whole, parse_constant=_number)
+STRICT_JSON = json.JSONDecoder(
+    parse_float=_number, parse_int=lambda text: int(text) if _number(text) else 0, parse_constant=_number
+)
 """JSON as it was written: without infinities."""
 
 

@@ -136,12 +136,8 @@ GYRO = "gyro"
 _FREQUENCY_HZ, _AMPLITUDE_V = 1000.0, 0.2
 
 
-def _sine(phase: Floats) -> Floats:
-    return np.asarray(np.sin(phase))
-
-
 SHAPES: dict[str, Shape] = {
-    "sine": _sine,
+    "sine": lambda phase: np.asarray(np.sin(phase)),
     "square": lambda phase: np.where(np.mod(phase, 2 * math.pi) < math.pi, 1.0, -1.0),
 }
 

@@ -154,7 +154,9 @@ def _stretches(rows: Iterable[tuple[Any, ...]], layout: Layout) -> Iterator[tupl
                 taken = _decoded(key), _decoded(taken_at), texts[purpose], texts[header]
                 record = SavedRecord(number, *taken, payload, True, parsed[said])
             else:
-                record = read_record([_text(cell, place) for place, cell in enumerate(row)], layout)
+                is_text = [type(cell) is bytes and place != _PAYLOAD for place, cell in enumerate(row)]
+                cells = [_decoded(cell) if text else cell for cell, text in zip(row, is_text, strict=True)]
+                record = read_record(cells, layout)
             waiting, sums, alike = Stretch.of(record), [sum_], like
             room = min(MOST_RECORDS, MOST_BYTES // max(1, len(record.payload))) - 1
     except sqlite3.Error:
@@ -183,10 +185,6 @@ def _sum(row: tuple[Any, ...]) -> bytes | None:
     except TypeError:
         return None
     return hashlib.sha256(data).hexdigest().encode()
-
-
-def _text(cell: Any, place: int) -> Any:
-    return _decoded(cell) if type(cell) is bytes and place != _PAYLOAD else cell
 
 
 def _decoded(cell: bytes) -> str:

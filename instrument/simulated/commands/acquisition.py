@@ -231,12 +231,8 @@ def _height(state: ScopeState, number: int) -> float:
     return (float(trace.codes[point]) - trace.yoff) * trace.ymult + trace.yzero
 
 
-def _heights(state: ScopeState) -> tuple[float, float]:
-    return _height(state, 1), _height(state, 2)
-
-
 def _slope(state: ScopeState) -> float:
-    first, second = _heights(state)
+    first, second = (_height(state, number) for number in (1, 2))
     elapsed = _time(state, 2) - _time(state, 1)
     if not elapsed:
         raise Refusal(_OFF_SCREEN)

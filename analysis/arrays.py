@@ -43,7 +43,9 @@ class Stacked:
 
     @classmethod
     def joined(cls, parts: Sequence[Self]) -> Self:
-        """The records of all parts, one behind the other."""
+        """The records of all parts, one behind the other; a part that is alone is what is returned."""
+        if len(parts) == 1:
+            return parts[0]
         columns = zip(*(vars(part).values() for part in parts), strict=True)
         return cls(*[c[0].joined(c) if isinstance(c[0], Stacked) else np.concatenate(c) for c in columns])
 

@@ -31,7 +31,7 @@ import numpy as np
 import scipy.special
 from numpy.typing import ArrayLike
 
-from analysis.arrays import NORMAL_95, Complexes, Floats, Ints, NoFit
+from analysis.arrays import NORMAL_95, Complexes, Floats, Ints, NoFit, Stacked
 
 HARMONICS = 3  # of the dither
 KNOTS = 3.0  # of its amplitude in a period
@@ -68,7 +68,7 @@ class DitherFlag(IntFlag):
 
 
 @dataclass(frozen=True)
-class DitheredEstimate:
+class DitheredEstimate(Stacked):
     """Estimates of n records, nan where one cannot be used.
 
     lock_in_rate, lock_in_rate_u, lock_in_rate_low_95, lock_in_rate_high_95 : (n,) deg/s, by the noise alone

@@ -11,14 +11,15 @@ def integrated_fields(laser, rate, duration, n_samples):
     intensities and the phase psi = arg E1 - arg E2 follow without a division by an intensity.
     """
     a1, a2 = laser.backscatter
-    half, g, xi = np.exp(0.5j * laser.phase_sum), laser.gain_rate, laser.cross_saturation
-    sagnac = 2 * np.pi * laser.scale_factor * rate
+    back, g, xi = complex(np.exp(-0.5j * laser.phase_sum)), laser.gain_rate, laser.cross_saturation
+    sagnac = float(2 * np.pi * laser.scale_factor * rate)
 
     def slope(_t, y):
-        e1, e2 = y[0] + 1j * y[1], y[2] + 1j * y[3]
-        i1, i2 = abs(e1) ** 2, abs(e2) ** 2
-        d1 = (0.5 * g * (1 - (i1 + xi * i2) / (1 + xi)) + 0.5j * sagnac) * e1 + a2 * np.conj(half) * e2
-        d2 = (0.5 * g * (1 - (i2 + xi * i1) / (1 + xi)) - 0.5j * sagnac) * e2 + a1 * np.conj(half) * e1
+        x1, y1, x2, y2 = y.tolist()  # numbers of Python: those of NumPy are slow one by one
+        e1, e2 = complex(x1, y1), complex(x2, y2)
+        i1, i2 = x1 * x1 + y1 * y1, x2 * x2 + y2 * y2
+        d1 = (0.5 * g * (1 - (i1 + xi * i2) / (1 + xi)) + 0.5j * sagnac) * e1 + a2 * back * e2
+        d2 = (0.5 * g * (1 - (i2 + xi * i1) / (1 + xi)) - 0.5j * sagnac) * e2 + a1 * back * e1
         return [d1.real, d1.imag, d2.real, d2.imag]
 
     settle = 40 * (1 + xi) / (g * (1 - xi))  # the difference of the intensities relaxes more slowly than their sum

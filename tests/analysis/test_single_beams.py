@@ -108,7 +108,13 @@ KNOWN = BeamsKnowledge(level_u=0.01, rate_u=20e-6)
 
 @pytest.mark.parametrize(
     ("ratio", "phase_sum", "corner"),
-    [(1.4, 1.2, 2.0), (0.4, 2.2, 2.5), (1.0, 0.0, 30.0), (2.8, 0.4, 8.0), (0.7, 2.9, 4.0)],
+    [
+        (1.4, 1.2, 2.0),
+        (0.4, 2.2, 2.5),
+        (0.7, 2.9, 4.0),
+        pytest.param(1.0, 0.0, 30.0, marks=pytest.mark.slow),  # a stiff equation
+        pytest.param(2.8, 0.4, 8.0, marks=pytest.mark.slow),
+    ],
 )
 def test_the_lock_in_rate_of_any_coupling(ratio, phase_sum, corner):
     bench = Bench(laser(ratio, phase_sum, corner))

@@ -56,6 +56,7 @@ def test_nothing_is_stored_that_no_command_gives() -> None:
     assert set(EARLY) <= {f"{name}.out" for name in given}
 
 
+@pytest.mark.slow
 def test_a_processor_with_fewer_instructions_changes_nothing(tmp_path: Path) -> None:
     """NumPy and BLAS as an old processor runs them: no number moves by a thousandth of its uncertainty."""
     found = np.show_config(mode="dicts")["SIMD Extensions"]["found"]

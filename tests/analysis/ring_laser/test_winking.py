@@ -105,11 +105,11 @@ def test_a_gain_far_faster_than_the_beat_is_quick(corner):
 def test_conservative_coupling_locks_beyond_the_lock_in_rate_of_fast_gain(multiple, turns):
     """eps = 143 deg and a difference of the beams that relaxes slowly, against the fields in time."""
     laser = symmetric_laser(0.01, scale_factor=K, gain_corner_hz=1e3, phase_sum=2.5, cross_saturation=0.8)
-    first, second = integrated_fields(laser, 0.01 * multiple, 1.0, 4000)
+    first, second = integrated_fields(laser, 0.01 * multiple, 0.4, 4000)
     phase = np.unwrap(np.angle(first * np.conj(second)))
     if turns:
         beat = steady_beat(laser, 0.01 * multiple).frequency
-        assert (phase[-1] - phase[0]) / (2 * np.pi) == pytest.approx(beat, abs=0.1)
+        assert (phase[-1] - phase[0]) / (2 * np.pi) == pytest.approx(0.4 * beat, abs=0.1)
     else:
         assert abs(phase[-1] - phase[0]) < 1
         with pytest.raises(ValueError, match="locked"):

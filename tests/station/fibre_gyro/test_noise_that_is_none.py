@@ -17,6 +17,8 @@ TIME = np.arange(SIZE) / RATE
 
 Noise = Callable[[np.random.Generator, np.ndarray], np.ndarray]
 
+SLOW = pytest.mark.slow  # beside one of its kind
+
 
 def said(folder: Path, noise: Noise, seed: int = 3, filter_hz: float = 0.0) -> str:
     """All that an evaluation says of an output at rest."""
@@ -52,10 +54,10 @@ def test_noise_of_all_slow_terms_says_nothing(tmp_path: Path) -> None:
     ("noise", "named"),
     [
         (low_pass(30.0), "filtered"),
-        (low_pass(10.0), "filtered"),
+        pytest.param(low_pass(10.0), "filtered", marks=SLOW),
         (lambda rng, white: np.convolve(white, np.ones(10) / 10)[:SIZE], "filtered"),
-        (lambda rng, white: np.convolve(white, np.ones(2) / 2)[:SIZE], "filtered"),
-        (lambda rng, white: np.asarray(lfilter(*butter(2, 0.4), white)), "filtered"),
+        pytest.param(lambda rng, white: np.convolve(white, np.ones(2) / 2)[:SIZE], "filtered", marks=SLOW),
+        pytest.param(lambda rng, white: np.asarray(lfilter(*butter(2, 0.4), white)), "filtered", marks=SLOW),
         (lambda rng, white: white + 0.5 * SIGMA * np.sin(20 * np.sin(TIME / 20) + 3 * TIME), "a line stands"),
         (lambda rng, white: white + 0.4 * SIGMA * np.sin(2 * np.pi * 13.3 * TIME) * (TIME < 700), "13.3"),
         (low_pass(0.01), "behind a filter of 0.0"),
@@ -78,7 +80,7 @@ def test_what_is_no_noise_of_the_model_is_named(tmp_path: Path, noise: Noise, na
     ("noise", "corner"),
     [
         pytest.param(low_pass(30.0), 30.0, marks=pytest.mark.slow),
-        pytest.param(low_pass(5.0), 5.0, marks=pytest.mark.slow),
+        pytest.param(low_pass(5.0), 5.0, marks=SLOW),
         (lambda rng, white: np.convolve(white, np.ones(10) / 10)[:SIZE], 0.443 * RATE / 10),
         pytest.param(
             lambda rng, white: np.convolve(white, np.ones(2) / 2)[:SIZE], 0.443 * RATE / 2, marks=pytest.mark.slow

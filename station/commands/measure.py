@@ -16,6 +16,7 @@ from station.shell.options import (
     CHANNELS,
     RUN_PATH,
     config_option,
+    dither_option,
     json_option,
     overrides,
     positive,
@@ -121,11 +122,7 @@ def _bench_options(function: F) -> F:
 
 @click.command("measure")
 @_bench_options
-@click.option(
-    "--dither",
-    type=click.Choice(["on", "off"]),
-    help="on: the gyro's body dithers, as [dither] of the settings says.",
-)
+@dither_option
 @report_option
 def measure(**given: Any) -> int:
     """Measure the lock-in rate: acquire, save, analyse, report.

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from station.results.numbers import AMPLITUDE, LOCK_IN_RATE
-from station.shell.options import config_option, json_option, unused_config_option
+from station.shell.options import config_option, dither_option, json_option, unused_config_option
 from station.terminal import print_json, say, say_briefly
 
 if TYPE_CHECKING:
@@ -102,9 +102,7 @@ def _numbers(_context: click.Context, _option: click.Parameter, text: str | None
     metavar="DEG",
     help="Its standard uncertainty.",
 )
-@click.option(
-    "--dither", type=click.Choice(["on", "off"]), help="on: the gyro's body dithers, as [dither] says [settings]."
-)
+@dither_option
 @click.option("--baud", type=click.IntRange(300, 1_000_000), metavar="B", help="Of a serial link [settings].")
 @click.option(
     "--transfer", "transfer_s", type=click.FloatRange(min=0), metavar="S", help="Seconds a record [from --baud]."

@@ -158,6 +158,12 @@ def transcript_option(function: F) -> F:
     )(function)
 
 
+def dither_option(function: F) -> F:
+    """Add ``--dither``."""
+    said = "on: the gyro's body dithers, as [dither] of the settings says."
+    return click.option("--dither", type=click.Choice(["on", "off"]), help=said)(function)
+
+
 def report_option(function: F) -> F:
     """Add ``--report`` and ``--no-report``."""
     return click.option("--report/--no-report", default=True, help="Write report.html beside the run [yes].")(

@@ -126,8 +126,8 @@ def test_the_house_can_be_taken_in() -> None:
     """Files, lines and classes of the product; a ceiling is lowered by whoever gets below it, never raised."""
     every = {name: count for folder in PACKAGES for name, count in lines(folder).items()}
     classes = [node for tree in ours().values() for node in ast.walk(tree) if isinstance(node, ast.ClassDef)]
-    assert len(every) <= 269
-    assert sum(every.values()) <= 83_529
+    assert len(every) <= 258
+    assert sum(every.values()) <= 83_520
     assert len(classes) <= 735
 
 

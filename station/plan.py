@@ -15,6 +15,7 @@ from analysis.arrays import NORMAL_95
 from analysis.plan import (
     FEW_RATES,
     FEWEST_RECORDS,
+    MOST_RECORDS,
     Plan,
     PlannedRate,
     PlanRequest,
@@ -320,8 +321,8 @@ def plan_dithered(settings: Settings, options: PlanOptions) -> dict[str, Any]:
     floor, rows = dithered.common_share(settings), list[dict[str, Any]]()
     for base in dithered.time_bases(settings):
         periods, u = dithered.predicted_u(settings, base, expected, _noise_over_amplitude(request))
-        left = (request.wanted_u**2 - floor**2) ** 0.5 if request.wanted_u > floor else math.nan
-        records = max(FEWEST_RECORDS, math.ceil((u / expected / left) ** 2)) if left > 0 else None
+        needed = (u / expected) ** 2 / max(request.wanted_u**2 - floor**2, 1e-300)
+        records = max(FEWEST_RECORDS, math.ceil(needed)) if needed <= MOST_RECORDS else None
         each = base * DIVISIONS + request.seconds_between_records
         rows.append(
             {
@@ -332,14 +333,14 @@ def plan_dithered(settings: Settings, options: PlanOptions) -> dict[str, Any]:
                 "duration_s": None if records is None else records * each,
             }
         )
-    reached = rows[0]["records"] is not None
-    best = min(rows, key=lambda row: row["duration_s"] if reached else row["u_percent_of_one_record"])
+    enough = [row for row in rows if row["records"] is not None]
+    best = min(enough or rows, key=lambda row: row["duration_s"] if enough else row["u_percent_of_one_record"])
     return {
         LOCK_IN_RATE.key(): expected,
         SCALE_FACTOR.key(): request.scale_factor,
         "wanted_u_percent": 100 * request.wanted_u,
         "floor_u_percent": 100 * floor,
-        "reached": reached,
+        "reached": bool(enough),
         "time_bases": rows,
         "best": best,
     }
@@ -354,7 +355,8 @@ def dithered_words(plan: Mapping[str, Any]) -> tuple[str, TextTable]:
         f"{wanted:.3g} % (k = 1)."
         if plan["reached"]
         else f"{wanted:.3g} % cannot be reached: scale factor and time base are known to "
-        f"{plan['floor_u_percent']:.2g} %. A record of {where} tells most."
+        f"{plan['floor_u_percent']:.2g} %, and no more than {MOST_RECORDS} records are planned. "
+        f"A record of {where} tells most."
     )
     rows = tuple(
         (

@@ -199,10 +199,10 @@ class Streams:
         return self._out.error.strerror or str(self._out.error)
 
 
-def takes_now(stream: IO[str]) -> bool:
-    """Tell whether a stream would take a line of some thousand letters without waiting."""
+def takes_now(stream: IO[str] | int) -> bool:
+    """Tell whether a stream, or a descriptor, would take a line of some thousand letters without waiting."""
     try:
-        descriptor = stream.fileno()
+        descriptor = stream if isinstance(stream, int) else stream.fileno()
     except (OSError, ValueError):
         return True
     if not hasattr(select, "poll"):

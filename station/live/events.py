@@ -5,7 +5,6 @@ A reader that fails is not asked again, and what is measured goes on.
 
 import json
 import os
-import select
 import stat
 import threading
 import time
@@ -17,6 +16,7 @@ from datetime import UTC, datetime
 from typing import Any
 
 from station.errors import UsageError
+from station.terminal import takes_now
 
 SCHEMA = {"name": "gyrolock event", "version": 1}
 
@@ -166,15 +166,6 @@ class EventLines:
             return
         except OSError as error:
             self.error = error.strerror or str(error)
-
-
-def takes_now(descriptor: int) -> bool:
-    """Tell whether a descriptor takes :data:`_PIECE` bytes without waiting."""
-    if not hasattr(select, "poll"):
-        return True
-    poll = select.poll()
-    poll.register(descriptor, select.POLLOUT)
-    return bool(poll.poll(0))
 
 
 def open_lines(target: str) -> EventLines:

@@ -13,6 +13,7 @@ import argparse
 import contextlib
 import datetime
 import gzip
+import importlib
 import io
 import json
 import math
@@ -168,6 +169,8 @@ def _deadline(longest_s: int) -> Iterator[None]:
 
 def _limit_memory() -> None:
     """Allow this process so much memory on top of what it has: more is a MemoryError, which is not declared."""
+    for late in ("integrate", "interpolate", "ndimage", "optimize", "signal"):  # libraries are the program's own
+        importlib.import_module(f"scipy.{late}")
     pages = int(Path("/proc/self/statm").read_text().split()[0]) if Path("/proc/self/statm").exists() else 0
     if pages:
         _, hard = resource.getrlimit(resource.RLIMIT_AS)

@@ -10,6 +10,7 @@ import shutil
 import tempfile
 import zipfile
 import zlib
+from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from datetime import UTC, datetime
@@ -37,6 +38,33 @@ from station.datasets.rows import (
 from station.errors import RunError, StationError, UsageError
 from station.files import alive, inert
 from station.results.numbers import SCALE_FACTOR
+
+
+class Table(ABC):
+    """A file of a data set."""
+
+    def __init__(self, place: str) -> None:
+        self.place = place
+
+    @abstractmethod
+    def heads(self) -> Iterator[tuple[str, int]]:
+        """Yield what is known of the source of each row, equal ones as one object, and its number there."""
+
+    @abstractmethod
+    def rows(self, first: int, last: int, numbers: range | None = None) -> Iterator[tuple[dict[str, Any], bytes]]:
+        """Yield rows from `first` up to, but not, `last`: what stands in the columns, and the bytes sent.
+
+        With `numbers` no more than are needed for these, where a file can leave others out.
+        """
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What another process needs to read the same file."""
+        return {"place": os.path.abspath(self.place)}
+
+
+# --------------------
+# CSV: a row a record, its codes as decimal numbers
+
 
 _MARK = f"{SCHEMA['name']} {SCHEMA['version']}"
 _FIRST = "schema"
@@ -87,18 +115,18 @@ class CsvWriter:
         self._file.detach()
 
 
-class CsvTable:
-    """Reads one file; see `ParquetTable`. Rows that are asked for in their order are read in one go."""
+class CsvTable(Table):
+    """Reads one file. Rows that are asked for in their order are read in one go."""
 
     def __init__(self, place: str) -> None:
-        self.place = place
+        super().__init__(place)
         self._next, self._going = 0, self._lines()
         for _ in self._lines():
             return
         raise RunError(f"{place}: holds no record")
 
     def heads(self) -> Iterator[tuple[str, int]]:
-        """Yield what is known of the source of each row, equal ones as one object, and its number there."""
+        """See `Table`."""
         about = ""
         for row, (cells, _) in enumerate(self._lines()):
             about = cells["source_json"] or about
@@ -108,7 +136,7 @@ class CsvTable:
                 raise self._damaged(f"row {row + 2}: {error}") from None
 
     def rows(self, first: int, last: int, numbers: range | None = None) -> Iterator[tuple[dict[str, Any], bytes]]:
-        """Yield rows from `first` up to, but not, `last`; all of them, whatever `numbers` are wanted."""
+        """See `Table`."""
         if first < self._next or first == 0:
             self._next, self._going = 0, self._lines()
         while self._next < last:
@@ -125,10 +153,6 @@ class CsvTable:
             except (ValueError, KeyError) as error:
                 raise self._damaged(f"row {self._next + 1}: {error}") from None
             yield row, payload
-
-    def __getstate__(self) -> dict[str, str]:
-        """What another process needs to read the same file."""
-        return {"place": os.path.abspath(self.place)}
 
     def __setstate__(self, state: dict[str, str]) -> None:
         self.__init__(state["place"])  # type: ignore[misc]  # begins to read anew
@@ -302,17 +326,17 @@ class Hdf5Writer:
         self._file.close()
 
 
-class Hdf5Table:
-    """Reads one file; see `ParquetTable`."""
+class Hdf5Table(Table):
+    """Reads one file."""
 
     def __init__(self, place: str) -> None:
-        self.place = place
+        super().__init__(place)
         with self._opened() as file:
             found = file.attrs.get(_SCHEMA)
             check_schema(json.loads(found)["schema"] if found else None, place)
 
     def heads(self) -> Iterator[tuple[str, int]]:
-        """Yield what is known of the source of each row, equal ones as one object, and its number there."""
+        """See `Table`."""
         with self._opened() as file:
             texts = file["source_json"].asstr()[:].tolist()
             indices = file[_GROUP]["source_index"][:].tolist()
@@ -321,7 +345,7 @@ class Hdf5Table:
             yield texts[index], number
 
     def rows(self, first: int, last: int, numbers: range | None = None) -> Iterator[tuple[dict[str, Any], bytes]]:
-        """Yield rows from `first` up to, but not, `last`; with `numbers` no more than are needed."""
+        """See `Table`."""
         if numbers is not None:
             with self._opened() as file:
                 first, last = rows_with(numbers, file[_GROUP]["number"][first:last], first)
@@ -341,10 +365,6 @@ class Hdf5Table:
                     row["outputs"] = {name: column[place] for name, column in outputs.items()}
                 is_codes = sizes[place] == codes.shape[1] and not payloads[place].size
                 yield row, codes[place].tobytes() if is_codes else payloads[place].tobytes()
-
-    def __getstate__(self) -> dict[str, str]:
-        """What another process needs to read the same file."""
-        return {"place": os.path.abspath(self.place)}
 
     @contextmanager
     def _opened(self) -> Iterator[Any]:
@@ -423,23 +443,23 @@ class NumpyWriter:
         self._codes.close()
 
 
-class NumpyTable:
-    """Reads one file; see `ParquetTable`. Its arrays are held in the memory."""
+class NumpyTable(Table):
+    """Reads one file. Its arrays are held in the memory."""
 
     def __init__(self, place: str) -> None:
-        self.place = place
+        super().__init__(place)
         schema = self._array("schema")
         check_schema(json.loads(str(schema)) if schema.dtype.kind == "U" and schema.ndim == 0 else None, place)
 
     def heads(self) -> Iterator[tuple[str, int]]:
-        """Yield what is known of the source of each row, equal ones as one object, and its number there."""
+        """See `Table`."""
         texts = [text.decode() for text in self._array("source_json").tolist()]
         indices, numbers = self._array("source_json_index").tolist(), self._array("number").tolist()
         for index, number in zip(indices, numbers, strict=True):
             yield texts[index], number
 
     def rows(self, first: int, last: int, numbers: range | None = None) -> Iterator[tuple[dict[str, Any], bytes]]:
-        """Yield rows from `first` up to, but not, `last`; with `numbers` no more than are needed."""
+        """See `Table`."""
         held = self._held
         if numbers is not None:
             first, last = rows_with(numbers, held["number"][first:last], first)
@@ -454,10 +474,6 @@ class NumpyTable:
                 row["outputs"] = outputs
             payload = held["payload"][ends[place - 1] if place else 0 : ends[place]]
             yield row, payload.tobytes() if payload.size else self._payload(place)
-
-    def __getstate__(self) -> dict[str, str]:
-        """What another process needs to read the same file."""
-        return {"place": os.path.abspath(self.place)}
 
     def _output(self, place: int) -> dict[str, Floats] | None:
         """Output of a fibre gyro; ``None`` where the row holds none."""
@@ -592,11 +608,11 @@ def _time(text: str) -> datetime | None:
         return None
 
 
-class ParquetTable:
+class ParquetTable(Table):
     """Reads one file; path or URL."""
 
     def __init__(self, place: str) -> None:
-        self.place = place
+        super().__init__(place)
         self._kept: dict[int, Any] = {}
         with self._said(), _opened(place) as file:
             metadata = file.schema_arrow.metadata or {}
@@ -613,7 +629,7 @@ class ParquetTable:
             raise RunError(f"{place}: the column {lost[0]!r} is not in it: export the records again")
 
     def heads(self) -> Iterator[tuple[str, int]]:
-        """Yield what is known of the source of each row, equal ones as one object, and its number there."""
+        """See `Table`."""
         with self._said(), _opened(self.place) as file:
             for group in range(file.num_row_groups):
                 table = file.read_row_group(group, columns=["source_json", "number"], use_threads=False)
@@ -624,7 +640,7 @@ class ParquetTable:
                     yield texts[code], number
 
     def rows(self, first: int, last: int, numbers: range | None = None) -> Iterator[tuple[dict[str, Any], bytes]]:
-        """Yield rows from `first` up to, but not, `last`: what stands in the columns, and the bytes sent."""
+        """See `Table`."""
         # With `numbers` row groups in which none of these records can be are not read.
         start = 0
         for group, size in enumerate(self._sizes):

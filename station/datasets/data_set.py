@@ -25,6 +25,7 @@ from station.datasets.backends import (
     NumpyWriter,
     ParquetTable,
     ParquetWriter,
+    Table,
     is_url,
     opened_bytes,
 )
@@ -44,18 +45,6 @@ _ENDINGS: dict[str, Callable[[str], Table]] = {
     ".npz": NumpyTable,
     ".csv": CsvTable,
 }
-
-
-class Table(Protocol):
-    """A file of a data set."""
-
-    place: str
-
-    def heads(self) -> Iterator[tuple[str, int]]:
-        """Yield what is known of the source of each row, equal ones as one object, and its number there."""
-
-    def rows(self, first: int, last: int, numbers: range | None = None) -> Iterator[tuple[dict[str, Any], bytes]]:
-        """Yield rows: what stands in the columns, and the bytes that were sent."""
 
 
 class DatasetSource(Source):

@@ -88,13 +88,17 @@ def _drawn(name: str, size: tuple[float, float], draw: Callable[[Figure], None],
     import matplotlib
     from matplotlib.backends.backend_svg import FigureCanvasSVG
     from matplotlib.figure import Figure
+    from matplotlib.layout_engine import ConstrainedLayoutEngine
 
     style: Any = STYLE | {"svg.hashsalt": f"gyrolock-{name}"}
     with matplotlib.rc_context(style):
         figure = Figure(figsize=size, dpi=72)
         FigureCanvasSVG(figure)
         draw(figure)
-        _make_room(figure)
+        if figure.legends or figure.texts:  # which stand beside the axes of all
+            ConstrainedLayoutEngine().execute(figure)
+        else:
+            _make_room(figure)
         file = io.BytesIO()
         figure.savefig(file, format=kind, **how)
     return file.getvalue()

@@ -299,14 +299,10 @@ def _dithered(settings: Settings) -> Prediction:
         base = dithered.time_base(settings)
     except (ValueError, StationError) as error:
         return Prediction(None, why_not=str(error))
-    _, u = dithered.predicted_u(settings, base, expected, _noise_over_amplitude(request))
+    _, u = dithered.predicted_u(settings, base, request)
     whole = math.hypot(u / math.sqrt(records), dithered.common_share(settings) * expected)
     seconds = (records + _TRIALS) * (base * DIVISIONS + request.seconds_between_records)
     return Prediction(seconds, whole, NORMAL_95 * whole, records=records)
-
-
-def _noise_over_amplitude(request: PlanRequest) -> float:
-    return math.hypot(request.noise_rms / request.amplitude, request.noise_levels / request.fill_levels)
 
 
 def plan_dithered(settings: Settings, options: PlanOptions) -> dict[str, Any]:
@@ -316,11 +312,11 @@ def plan_dithered(settings: Settings, options: PlanOptions) -> dict[str, Any]:
     except ValueError as error:
         raise UsageError(str(error)) from None
     expected = request.lock_in_rate
-    stated = {SCALE_FACTOR.key(): request.scale_factor, "expected_lock_in_rate_dps": expected}
-    settings = settings.model_copy(update={"gyro": settings.gyro.model_copy(update=stated)})
+    gyro = settings.gyro.model_copy(update={SCALE_FACTOR.key(): request.scale_factor})
+    settings = settings.model_copy(update={"gyro": gyro})
     floor, rows = dithered.common_share(settings), list[dict[str, Any]]()
     for base in dithered.time_bases(settings):
-        periods, u = dithered.predicted_u(settings, base, expected, _noise_over_amplitude(request))
+        periods, u = dithered.predicted_u(settings, base, request)
         needed = (u / expected) ** 2 / max(request.wanted_u**2 - floor**2, 1e-300)
         records = max(FEWEST_RECORDS, math.ceil(needed)) if needed <= MOST_RECORDS else None
         each = base * DIVISIONS + request.seconds_between_records

@@ -33,8 +33,8 @@ class SpectralStart(Stacked):
         """From centred records (R, N), a few at a time: their spectra are used up at once."""
         n_records, n_samples = values.shape
         at_once = records_at_once(n_samples, np.float32)
-        parts = [Spectra.of(values[first : first + at_once]).start() for first in range(0, n_records, at_once)]
-        return SpectralStart.joined(parts)
+        begins = range(0, max(n_records, 1), at_once)  # one of no records too
+        return SpectralStart.joined([Spectra.of(values[first : first + at_once]).start() for first in begins])
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+from click.core import ParameterSource
 
 from station.results.numbers import AMPLITUDE, LOCK_IN_RATE
 from station.shell.options import config_option, dither_option, json_option, unused_config_option
@@ -15,6 +16,17 @@ from station.terminal import print_json, say, say_briefly
 if TYPE_CHECKING:
     from station.plan import PlannedMeasurement
     from station.study import Study
+
+_AT_A_RATE = {
+    **{"plot": "--plot", "rates": "--rates", "both_senses": "--both-senses", "reference": "--reference"},
+    **{
+        "lock_in_factor": "--factor",
+        "distortion_dbc": "--distortion",
+        "tilt_deg": "--tilt",
+        "tilt_u_deg": "--tilt-u",
+    },
+}
+"""Options that a plan for a gyro that dithers has no use for."""
 
 _positive = click.FloatRange(min=0, min_open=True)
 
@@ -126,9 +138,10 @@ def plan_command(plot: Path | None, config: Path | None, dither: str | None, as_
         check_picture_name(plot)
     settings, chosen = load_settings(config), PlanOptions(**options)
     if dither == "on" or (dither is None and settings.dither.on):
-        if plot is not None or options["rates"] or options["reference"] == "rate":
+        said = click.get_current_context().get_parameter_source
+        if idle := [option for name, option in _AT_A_RATE.items() if said(name) is ParameterSource.COMMANDLINE]:
             raise click.UsageError(
-                "a gyro that dithers is measured at rest: no --plot, --rates or --reference rate"
+                f"{', '.join(idle)}: of a gyro that turns; one that dithers is measured at rest"
             )
         found = plan_dithered(settings, chosen)
         if as_json:

@@ -50,6 +50,7 @@ from station.scope.autoset import KnobPositions, ScreenShape, fit_channel
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from analysis.plan import PlanRequest
     from instrument import Waveform
 
 
@@ -384,20 +385,20 @@ def time_bases(settings: Settings, most_periods: float = _MOST_PERIODS) -> list[
     return fitting
 
 
-def predicted_u(settings: Settings, base: float, lock_in_rate: float, noise: float) -> tuple[float, float]:
-    """Dither periods in a record, and the u (deg/s) that its noise, over the amplitude of the beat, leaves."""
+def predicted_u(settings: Settings, base: float, request: PlanRequest) -> tuple[float, float]:
+    """Dither periods in a record, and the u (deg/s) that noise leaves of it, rounding to codes included."""
     frequency, draws = _frequency(settings), np.random.default_rng(0).uniform(size=(_DRAWN, 3))
-    levels = 12**-0.5 / _FILL_LEVELS
+    levels = math.hypot(request.noise_levels, 12**-0.5) / _FILL_LEVELS
     each = [
         dithered_bound(
-            lock_in_rate * np.exp(2j * np.pi * own),
+            request.lock_in_rate * np.exp(2j * np.pi * own),
             settings.dither.rate_dps * np.exp(2j * np.pi * turn),
             start=2 * np.pi * start,
-            scale_factor=settings.gyro.scale_factor_pulses_per_deg,
+            scale_factor=request.scale_factor,
             dither_frequency=frequency,
             sample_interval=base * DIVISIONS / POINTS,
             n_samples=POINTS,
-            noise=math.hypot(noise, levels),
+            noise=math.hypot(request.noise_rms / request.amplitude, levels),
         )
         for own, turn, start in draws
     ]

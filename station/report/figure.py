@@ -119,10 +119,13 @@ def _make_room(figure: Figure) -> None:
     around, between = around + _PAD, gaps.sum(axis=1) + 2 * _PAD
     size = np.array([figure.bbox.width, figure.bbox.height])
     free = (size - around.sum(axis=1) - (counts - 1) * between) / counts
+    if np.any(free < _LEAST * size):  # a name as long as the figure: nothing gives it room
+        return
     (left, bottom), (right, top) = around[:, 0] / size, 1 - around[:, 1] / size
     figure.subplots_adjust(left, bottom, right, top, *(between / free))
 
 
+_LEAST = 0.05  # of the figure that axes need
 _PAD = 6.0  # pixels: where there is other room there may be other ticks
 
 

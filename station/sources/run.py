@@ -154,9 +154,8 @@ def _stretches(rows: Iterable[tuple[Any, ...]], layout: Layout) -> Iterator[tupl
                 taken = _decoded(key), _decoded(taken_at), texts[purpose], texts[header]
                 record = SavedRecord(number, *taken, payload, True, parsed[said])
             else:
-                is_text = [type(cell) is bytes and place != _PAYLOAD for place, cell in enumerate(row)]
-                cells = [_decoded(cell) if text else cell for cell, text in zip(row, is_text, strict=True)]
-                record = read_record(cells, layout)
+                decoded = [_decoded(c) if type(c) is bytes and n != _PAYLOAD else c for n, c in enumerate(row)]
+                record = read_record(decoded, layout)
             waiting, sums, alike = Stretch.of(record), [sum_], like
             room = min(MOST_RECORDS, MOST_BYTES // max(1, len(record.payload))) - 1
     except sqlite3.Error:

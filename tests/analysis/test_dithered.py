@@ -6,7 +6,7 @@ from scipy.interpolate import CubicSpline
 
 from analysis import combine_dithered, estimate_dithered, lock_in_of_random_walk
 from analysis.arrays import NoFit
-from analysis.dithered import DitheredEstimate, DitherFlag
+from analysis.dithered import DitheredEstimate, DitherFlag, dithered_bound
 
 K, SAMPLES, FINER = 2000.0, 2500, 8
 
@@ -51,6 +51,20 @@ def records(
         four = after - pull * np.sin(psi + step * three + phase)
         psi = psi + step / 6 * (one + 2 * two + 2 * three + four)
     return np.round(90 * seen + 0.6 * rng.standard_normal(seen.shape)) / 90, step * FINER
+
+
+def test_errors_are_those_of_the_bound(run):
+    """Of Cramér and Rao, over phases of beat, dither and coupling: the records of this file draw them."""
+    true, each = run
+    rng = np.random.default_rng(1)
+    known = {"scale_factor": K, "dither_frequency": 400.0, "sample_interval": 2e-6, "n_samples": SAMPLES}
+    turns = np.exp(2j * np.pi * rng.uniform(size=(12, 2)))
+    bounds = [
+        dithered_bound(0.06 * own, 100 * turn, noise=np.hypot(0.6, 12**-0.5) / 90, bias=0.7, start=start, **known)
+        for (own, turn), start in zip(turns, rng.uniform(0, 6, 12), strict=True)
+    ]
+    off = (each.lock_in_rate - true)[(each.flags & ~int(DitherFlag.NOT_SIGNIFICANT)) == 0]
+    assert 0.6 < np.sqrt(np.mean(off**2) / np.mean(np.square(bounds))) < 1.6
 
 
 @pytest.fixture(scope="module")

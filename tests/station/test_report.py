@@ -6,11 +6,13 @@ from html.parser import HTMLParser
 from pathlib import Path
 
 import pytest
+from matplotlib.figure import Figure
 
 from station.lock_in.measurement import MEASUREMENT
 from station.lock_in.messages import lock_in_words
 from station.lock_in.report import line_svg, spectrum_svg, time_record_svg, values_svg
 from station.lock_in.settings import load_settings
+from station.report.figure import _make_room, legend_above, svg_element
 from station.report.show import render_report, write_report
 from station.runs.progress import Progress
 from station.runs.store import SavedRun, open_run
@@ -141,3 +143,24 @@ def _silenced(record):
     if record.purpose == "tilt":
         return record
     return record._replace(payload=bytes(len(record.payload)))
+
+
+def test_labels_have_room_and_a_name_without_end_stops_no_report() -> None:
+    beyond: list[float] = []
+
+    def draw(figure: Figure, name: str) -> None:
+        for axes in figure.subplots(2, 2).ravel():
+            axes.plot([1e-9, 2e-9], [1e6, 2e6], label=name)
+            axes.set(xlabel="time, s", ylabel="rate, deg/s")
+            legend_above(axes)
+
+    def placed(figure: Figure) -> None:
+        draw(figure, "fit")
+        _make_room(figure)
+        whole, boxes = figure.bbox, [axes.get_tightbbox() for axes in figure.axes]
+        beyond.extend(max(-b.x0, b.x1 - whole.width, -b.y0, b.y1 - whole.height) for b in boxes)
+        beyond.extend(float(a.overlaps(b)) for n, a in enumerate(boxes) for b in boxes[:n])
+
+    assert "<svg" in svg_element("room", (10.0, 4.6), placed)
+    assert len(beyond) == 4 + 6 and max(beyond) < 0.5  # pixels
+    assert "<svg" in svg_element("long", (5.0, 3.1), lambda figure: draw(figure, "name of a unit " * 30))

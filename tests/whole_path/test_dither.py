@@ -109,8 +109,9 @@ def test_it_is_planned(taken: Path) -> None:
     predicted = predict("dither", settings.model_copy(update={"gyro": known}).model_dump(mode="json"))
     assert predicted.u == pytest.approx(u / np.sqrt(settings.dither.records), rel=0.05)
     assert predict("measure", settings.model_dump(mode="json")).u < predicted.u
-    refused = gyrolock(taken, "plan --dither on --plot plan.png")
-    assert refused.returncode == 2 and "--plot" in refused.stderr
+    for option in ("--plot plan.png", "--rates best", "--both-senses", "--tilt 3"):
+        refused = gyrolock(taken, f"plan --dither on {option}")
+        assert refused.returncode == 2 and option.split()[0] in refused.stderr
 
 
 def test_it_is_gone_on_with(taken: Path) -> None:

@@ -699,12 +699,9 @@ def bounded(knowledge: BenchKnowledge, slowest_beat_hz: float) -> Bounded:
         "high_pass": ("high_pass", ResponseCorner(AC_CORNER_HZ)),
         "gain_corner": ("gain", ResponseCorner(lowest_gain_corner(slowest_beat_hz))),
     }
-    missing = {line: bound for line, bound in bounds.items() if _unknown(getattr(knowledge, bound[0]))}
+    known = {line: getattr(knowledge, bound[0]) for line, bound in bounds.items()}
+    missing = {line: bounds[line] for line, of in known.items() if math.isnan(getattr(of, "hz", of))}
     return Bounded(replace(knowledge, **dict(missing.values())), frozenset(missing))  # type: ignore[arg-type]
-
-
-def _unknown(value: float | ResponseCorner) -> bool:
-    return math.isnan(value.hz if isinstance(value, ResponseCorner) else value)
 
 
 # --------------------

@@ -316,10 +316,10 @@ class RunFilter:
 
     def admits(self, entry: Entry) -> bool:
         """Whether a run is wanted."""
-        names = "command", "unit", "operator", "gyro"
+        pairs = [(getattr(entry, of) or "", getattr(self, of)) for of in ("command", "unit", "operator", "gyro")]
         notes = [entry.note or "", *(str(one.get("note", "")) for one in entry.remarks)]
         return (
-            all(_like(getattr(entry, name), getattr(self, name)) for name in names)
+            all(fnmatch.fnmatchcase(text.casefold(), (wanted or "*").casefold()) for text, wanted in pairs)
             and self.verdict in ("", entry.verdict or NO_LIMITS)
             and self.mark in ("", entry.mark or NO_LIMITS)
             and set(self.tags) <= set(entry.tags)
@@ -356,10 +356,6 @@ ORDERS: dict[str, Callable[[Entry], Any]] = {
     "verdict": lambda entry: entry.verdict or "~",
     "mark": lambda entry: entry.mark or "~",
 }
-
-
-def _like(text: str | None, pattern: str) -> bool:
-    return not pattern or fnmatch.fnmatchcase((text or "").casefold(), pattern.casefold())
 
 
 # --------------------

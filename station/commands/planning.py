@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from station.plan import PlannedMeasurement
     from station.study import Study
 
-_AT_A_RATE = {
+_AT_A_RATE = {  # of which a plan for a gyro that dithers has no use
     **{"plot": "--plot", "rates": "--rates", "both_senses": "--both-senses", "reference": "--reference"},
     **{
         "lock_in_factor": "--factor",
@@ -26,8 +26,6 @@ _AT_A_RATE = {
         "tilt_u_deg": "--tilt-u",
     },
 }
-"""Options that a plan for a gyro that dithers has no use for."""
-
 _positive = click.FloatRange(min=0, min_open=True)
 
 
@@ -144,10 +142,7 @@ def plan_command(plot: Path | None, config: Path | None, dither: str | None, as_
                 f"{', '.join(idle)}: of a gyro that turns; one that dithers is measured at rest"
             )
         found = plan_dithered(settings, chosen)
-        if as_json:
-            print_json(found)
-        else:
-            _print_dithered(found)
+        print_json(found) if as_json else _print_dithered(found)
         return EXIT_OK if found["reached"] else EXIT_FAIL
     planned = make_plan(settings, chosen)
     sentences = plan_sentences(planned)

@@ -98,13 +98,13 @@ def _drawn(name: str, size: tuple[float, float], draw: Callable[[Figure], None],
         if figure.legends or figure.texts:  # which stand beside the axes of all
             ConstrainedLayoutEngine().execute(figure)
         else:
-            _make_room(figure)
+            make_room(figure)
         file = io.BytesIO()
         figure.savefig(file, format=kind, **how)
     return file.getvalue()
 
 
-def _make_room(figure: Figure) -> None:
+def make_room(figure: Figure) -> None:
     """Place the axes so that what stands about them has room: once, where matplotlib's layout measures twice."""
     drawn: list[Any] = figure.axes  # all of one grid
     grid = drawn[0].get_gridspec()
@@ -125,8 +125,7 @@ def _make_room(figure: Figure) -> None:
     figure.subplots_adjust(left, bottom, right, top, *(between / free))
 
 
-_LEAST = 0.05  # of the figure that axes need
-_PAD = 6.0  # pixels: where there is other room there may be other ticks
+_PAD, _LEAST = 6.0, 0.05  # pixels, for other ticks too, where there is other room; of the figure that axes need
 
 
 def _embeddable(svg: str, name: str) -> str:

@@ -12,7 +12,7 @@ from station.lock_in.measurement import MEASUREMENT
 from station.lock_in.messages import lock_in_words
 from station.lock_in.report import line_svg, spectrum_svg, time_record_svg, values_svg
 from station.lock_in.settings import load_settings
-from station.report.figure import _make_room, legend_above, svg_element
+from station.report.figure import legend_above, make_room, svg_element
 from station.report.show import render_report, write_report
 from station.runs.progress import Progress
 from station.runs.store import SavedRun, open_run
@@ -156,7 +156,7 @@ def test_labels_have_room_and_a_name_without_end_stops_no_report() -> None:
 
     def placed(figure: Figure) -> None:
         draw(figure, "fit")
-        _make_room(figure)
+        make_room(figure)
         whole, boxes = figure.bbox, [axes.get_tightbbox() for axes in figure.axes]
         beyond.extend(max(-b.x0, b.x1 - whole.width, -b.y0, b.y1 - whole.height) for b in boxes)
         beyond.extend(float(a.overlaps(b)) for n, a in enumerate(boxes) for b in boxes[:n])

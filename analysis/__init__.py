@@ -11,7 +11,14 @@ if TYPE_CHECKING:
     from analysis.channel import ChannelResponse, correct_response
     from analysis.combine import combine_estimates
     from analysis.dead_band import DeadBand, find_dead_band, simulate_sweep
-    from analysis.dithered import DitheredEstimate, combine_dithered, estimate_dithered, lock_in_of_random_walk
+    from analysis.dithered import (
+        CountsWalk,
+        DitheredEstimate,
+        combine_dithered,
+        estimate_dithered,
+        lock_in_of_random_walk,
+        walk_of_counts,
+    )
     from analysis.flags import DOUBTFUL, FATAL, Flag, describe_flag, flag_names
     from analysis.frequency_method import FrequencyFit, fit_frequencies
     from analysis.harmonics import HarmonicFit, fit_harmonics
@@ -72,6 +79,8 @@ __all__ = [  # noqa: RUF022 - in the order of the work, not of the alphabet
     "fit_rate_ratios",
     "fit_rates",
     "lock_in_of_random_walk",
+    "CountsWalk",
+    "walk_of_counts",
     # the bench: rotation, tilt, channel
     "ChannelResponse",
     "EARTH_RATE_DPS",
@@ -88,7 +97,14 @@ _HOMES = {
     "analysis.channel": ("ChannelResponse", "correct_response"),
     "analysis.combine": ("combine_estimates",),
     "analysis.dead_band": ("DeadBand", "find_dead_band", "simulate_sweep"),
-    "analysis.dithered": ("DitheredEstimate", "combine_dithered", "estimate_dithered", "lock_in_of_random_walk"),
+    "analysis.dithered": (
+        "DitheredEstimate",
+        "CountsWalk",
+        "combine_dithered",
+        "estimate_dithered",
+        "lock_in_of_random_walk",
+        "walk_of_counts",
+    ),
     "analysis.flags": ("DOUBTFUL", "FATAL", "Flag", "describe_flag", "flag_names"),
     "analysis.frequency_method": ("FrequencyFit", "fit_frequencies"),
     "analysis.harmonics": ("HarmonicFit", "fit_harmonics"),

@@ -274,6 +274,105 @@ def _interval(mean: Floats, covariance: Floats, own: Floats, weights: Floats, li
 _MOST_ROUNDS, _SIZES, _REACH = 300, 161, 2.5
 
 
+# --------------------
+# The random walk of dithered counts
+
+
+@dataclass(frozen=True)
+class CountsWalk:
+    """Random walk of the angle of a gyro that dithers, by its counts."""
+
+    random_walk: float  # deg/sqrt(s), with its standard uncertainty and 95 % interval
+    random_walk_u: float
+    random_walk_low_95: float
+    random_walk_high_95: float
+    walks: bool  # whether it is one: what each gate adds has nothing in common with the gates before
+
+
+FEWEST_GATES = 200
+_LEAST_WALK, _MOST_CELLS, _FEWEST_CELLS = 0.01, 300, 24
+_ALONG = np.array([[-1.0, 0.0], [0.0, 0.0], [1.0, 0.0]])
+_WALK_STARTS, _WALK_STEP, _WALK_SETTLED = 8, 0.1, 0.02
+
+
+def walk_of_counts(counts: ArrayLike, gate_s: float, *, scale_factor: float) -> CountsWalk:
+    """Random walk of the counts of a gyro at a steady rate, which may be far less than a count a gate.
+
+    A count says between which pulses the phase stands. The likelihood of all counts is that of a phase that drifts
+    and walks through what they leave open, followed exactly on a grid; its maximum is sought over walk and drift.
+
+    Parameters
+    ----------
+    counts : (n,)
+        Pulses of each gate, up less down. Gates of whole dither periods: the swing would hide the walk.
+    gate_s : float
+        Seconds; one gate begins where the one before ends.
+    scale_factor : float
+        K, counts per degree.
+
+    Raises
+    ------
+    ValueError
+        Fewer than 200 gates, or counts that are not whole numbers.
+    NoFit
+        A walk of less than 0.01 counts a gate, or counts that jump as no walk does.
+    """
+    from scipy.optimize import minimize  # takes as long to import as all else
+
+    seen = np.asarray(counts, dtype=np.float64)
+    if seen.ndim != 1 or seen.size < FEWEST_GATES or not np.array_equal(seen, np.rint(seen)):
+        raise ValueError(f"counts must be at least {FEWEST_GATES} whole numbers, one for each gate")
+    changes, places = np.unique(seen - np.rint(seen.mean()), return_inverse=True)
+    drift = float(changes[places].mean())
+
+    def unlikely(values: Floats) -> float:
+        return _unlikely_counts(changes, places, math.exp(values[0]), drift + off * values[1])[0]
+
+    off = 1 / seen.size
+    tried = np.log(np.geomspace(_LEAST_WALK, max(1.0, 2 * float(seen.std())), _WALK_STARTS))
+    begin = min(tried, key=lambda one: unlikely(np.array([one, 0.0])))
+    off = max(off, math.exp(begin) / math.sqrt(seen.size))
+    simplex = np.array([[begin, 0.0], [begin - 4 * _WALK_STEP, 0.3], [begin, 1.0]])
+    ended = minimize(
+        unlikely,
+        simplex[0],
+        method="Nelder-Mead",
+        options={"initial_simplex": simplex, "xatol": _WALK_SETTLED, "fatol": _WALK_SETTLED, "maxfev": 80},
+    )
+    best = np.asarray(ended.x, dtype=np.float64)
+    before, lowest, after = (unlikely(best + _WALK_STEP * move) for move in _ALONG)
+    if best[0] <= math.log(_LEAST_WALK) or not math.isfinite(before - 2 * lowest + after):
+        raise NoFit(f"the counts walk less than {_LEAST_WALK:g} a gate, or jump: longer gates, or no random walk")
+    bent = before - 2 * lowest + after
+    # chi-square is a parabola in the logarithm
+    u = _WALK_STEP * math.sqrt(2 / bent) if bent > 0 else math.inf
+    walk = math.exp(best[0]) / (scale_factor * math.sqrt(gate_s))
+    wider = math.exp(min(NORMAL_95 * u, 100.0))
+    steps = _unlikely_counts(changes, places, math.exp(best[0]), drift + off * best[1])[1]
+    return CountsWalk(walk, walk * u, walk / wider, walk * wider, _is_white(steps))
+
+
+def _unlikely_counts(changes: Floats, places: Ints, walk: float, drift: float) -> tuple[float, Floats]:
+    """-2 ln of the likelihood of counts `changes[places]`, and by how much each gate moves the mean phase."""
+    cells = int(np.clip(math.ceil(3 / walk), _FEWEST_CELLS, _MOST_CELLS))
+    inside = (np.arange(cells) + 0.5) / cells
+    ways = np.arange(1 - cells, cells) / cells
+    density = np.exp(-0.5 * ((ways + changes[:, np.newaxis] - drift) / walk) ** 2)
+    near = np.arange(cells)[:, np.newaxis] - np.arange(cells) + cells - 1
+    moves = density[:, near] / (walk * cells * math.sqrt(2 * math.pi))
+    phase, total, means = np.full(cells, 1 / cells), 0.0, np.empty(places.size + 1)
+    means[0] = 0.5
+    for number, place in enumerate(places.tolist(), start=1):
+        phase = moves[place] @ phase
+        share = float(phase.sum())
+        if not share > 0:
+            return math.inf, means[1:]
+        phase /= share
+        total += math.log(share)
+        means[number] = inside @ phase
+    return -2 * total, changes[places] + np.diff(means) - drift
+
+
 def lock_in_of_random_walk(random_walk: float, *, scale_factor: float, dither_rate: float) -> float:
     """Lock-in rate, deg/s, of a random walk of dithered counts in deg/sqrt(s): N = WL/sqrt(2 pi K W_D), (2.13).
 

@@ -60,7 +60,7 @@ class BeamsFlag(IntFlag):
     MISFIT = 32
     """Beat and beams do not fit one laser within their noise; the uncertainty is enlarged."""
     ROUTES_DIFFER = 64
-    """Harmonics, beams and frequencies give different lock-in rates."""
+    """Harmonics, beams, frequencies and dead band give different lock-in rates."""
     SEVERAL_SOLUTIONS = 128
     """Another lock-in rate explains the records as well; the interval holds all."""
     NOT_SIGNIFICANT = 256
@@ -213,6 +213,8 @@ class BeamsKnowledge:
     bandwidth_hz: float = math.nan  # lowest corner of the beams' receivers, one pole each
     scale_u: float = math.nan  # relative, of scale factor and rates, common to all settings
     rate_u: float = math.nan  # relative, of each rate by itself
+    dead_band: float = math.nan  # lock-in rate by the dead band, deg/s, and its standard uncertainty
+    dead_band_u: float = math.nan
 
 
 LEVEL_LIMIT = 0.03  # DC accuracy of an oscilloscope of eight bits, and what its ranges differ by
@@ -415,7 +417,7 @@ _TRIES, _EVALUATIONS = 10, 60  # steps of a first look, and of the search to the
 class Route:
     """One way to the lock-in rate, deg/s."""
 
-    name: Literal["harmonics", "beams", "frequencies"]
+    name: Literal["harmonics", "beams", "frequencies", "dead band"]
     lock_in_rate: float
     lock_in_rate_u: float
     lock_in_rate_low_95: float
@@ -528,6 +530,9 @@ def fit_beams(
     u = math.sqrt(sum(w * (a[1] ** 2 + (a[0] - value) ** 2) for w, a in zip(likely, answers, strict=True)))
     low, high = min(a[2] for a in answers), max(a[3] for a in answers)
     routes, push = _routes(fit, data, best), best.push()
+    if knowledge is not None and (u_of_band := knowledge.dead_band_u) > 0:
+        reach, band = NORMAL_95 * u_of_band, knowledge.dead_band
+        routes += (Route("dead band", band, u_of_band, max(band - reach, 0.0), band + reach),)
     routes_chi, routes_p = _agreement(routes)
     conditions = {
         BeamsFlag.MISFIT: p_value < UNLIKELY,

@@ -5,6 +5,9 @@ from period to period, bias of -2 to 2 deg/s, gain corners of 2 to 30 kHz that t
 of 3 to 10 times the fastest beat, eight bits. Printed for each length of the record in dither periods: how many
 give a number without a doubt, their coverage, the rms of error over u, and over the bound of Cramér and Rao for
 this laser, the median u, and the largest error over u.
+
+`--hours 40` counts the pulses of so many hours instead, every turning point a step of the phase: the random walk
+in counts of a second, its u, the lock-in rate by it over the true one, and how many intervals hold that.
 """
 
 from __future__ import annotations
@@ -16,8 +19,8 @@ import sys
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from analysis.arrays import Floats
-from analysis.dithered import DitherFlag, dithered_bound, estimate_dithered
+from analysis.arrays import Floats, Ints
+from analysis.dithered import DitherFlag, dithered_bound, estimate_dithered, lock_in_of_random_walk, walk_of_counts
 
 K, SAMPLES, FINER, NOISE, FILL, BREATH = 2000.0, 2500, 8, 0.6, 90, 0.02
 FASTEST = 0.38  # beats in a sample
@@ -76,13 +79,45 @@ def records(
     )
 
 
+def hour_of_counts(rng: np.random.Generator, k: float, true: float, rate: float, seconds: int = 3600) -> Ints:
+    """Counts of gates of a second, (seconds,), of a dither whose amplitude differs from turning to turning."""
+    frequency = int(rng.integers(300, 600))
+    turnings = 2 * frequency * seconds
+    bend = 4 * np.pi**2 * k * frequency * rate * (1 + 0.1 * rng.standard_normal(turnings)).clip(0.3)
+    steps = k * true * np.sqrt(2 * np.pi / bend) * np.cos(rng.uniform(0, 2 * np.pi, turnings))
+    phase = np.cumsum(steps)[2 * frequency - 1 :: 2 * frequency] + rng.uniform()
+    drift = k * rng.uniform(-0.004, 0.004)
+    return np.diff(np.floor(phase + drift * np.arange(1, seconds + 1)), prepend=0.0).astype(np.int64)
+
+
+def _print_walks(rng: np.random.Generator, hours: int) -> None:
+    heads = ("walk, counts", "u/walk", "found/true", "walks")
+    sys.stdout.write("".join(f"{head:>14s}" for head in heads) + "\n")
+    held = 0
+    for _ in range(hours):
+        k, true = np.exp(rng.uniform(np.log([500, 0.015]), np.log([5000, 0.2])))
+        rate = rng.uniform(50, 150)
+        found = walk_of_counts(hour_of_counts(rng, k, true, rate), 1.0, scale_factor=k)
+        per_walk = lock_in_of_random_walk(1.0, scale_factor=k, dither_rate=rate)
+        held += found.random_walk_low_95 <= true / per_walk <= found.random_walk_high_95
+        share = found.random_walk_u / found.random_walk
+        walk, right = k * true / per_walk, per_walk * found.random_walk / true
+        sys.stdout.write(f"{walk:14.3f}{share:14.3f}{right:14.3f}{found.walks!s:>14s}\n")
+        sys.stdout.flush()
+    sys.stdout.write(f"intervals that hold the true lock-in rate: {held} of {hours}\n")
+
+
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--records", type=int, default=200)
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--hours", type=int, default=0)
     asked = parser.parse_args()
     rng = np.random.default_rng(asked.seed)
+    if asked.hours:
+        _print_walks(rng, asked.hours)
+        return
     heads = ("periods", "usable", "covered", "error/u", "error/bound", "u, deg/s", "worst/u")
     sys.stdout.write("".join(f"{head:>12s}" for head in heads) + "\n")
     for periods in LENGTHS:

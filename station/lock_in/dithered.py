@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, astuple, dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -23,6 +23,7 @@ from analysis.dithered import (
     dithered_bound,
     estimate_dithered,
     lock_in_of_random_walk,
+    walk_of_counts,
 )
 from instrument.scpi import DIVISIONS, POINTS, TIME_BASES
 from station.errors import NoUsableSignal, UsageError
@@ -72,6 +73,8 @@ class DitheredEvaluation:
     random_walk: float  # deg/sqrt(h), that this lock-in rate gives the dithered counts, (2.13)
     by_random_walk: float  # deg/s, the lock-in rate by the random walk that was stated; nan: none was
     by_random_walk_u: float
+    by_random_walk_low_95: float
+    by_random_walk_high_95: float
     noise_rms: float
     scale_factor: float
     each: DitheredEstimate
@@ -117,7 +120,7 @@ def evaluate(run: SavedRun, settings: Settings, choices: Mapping[str, Any]) -> D
     seen = float(made.dither_rate[0])  # nan where no record holds a whole period
     rate = seen if math.isfinite(seen) else settings.dither.rate_dps
     per_walk = lock_in_of_random_walk(1 / 60, scale_factor=factor, dither_rate=rate)
-    stated, stated_u = settings.dither.random_walk_deg_per_sqrt_h, settings.dither.random_walk_u_deg_per_sqrt_h
+    walk, walks = _random_walk(settings, factor)
     found = DitheredEvaluation(
         lock_in_rate=value,
         lock_in_rate_u=math.hypot(noise_u, share * value),
@@ -127,8 +130,7 @@ def evaluate(run: SavedRun, settings: Settings, choices: Mapping[str, Any]) -> D
         dither_rate=rate,
         dither_frequency=float(made.dither_frequency[0]),
         random_walk=value / per_walk,
-        by_random_walk=per_walk * stated if stated else math.nan,
-        by_random_walk_u=per_walk * (stated_u or _WALK_U * stated) if stated else math.nan,
+        **{name: per_walk * value for name, value in zip(_BY_WALK, walk, strict=True)},
         noise_rms=float(made.noise_rms[0]),
         scale_factor=factor,
         each=each,
@@ -140,12 +142,31 @@ def evaluate(run: SavedRun, settings: Settings, choices: Mapping[str, Any]) -> D
     flags = [str(flag.name).lower() for flag in DitherFlag if flag & int(made.flags[0])]
     if 2 * len(spoilt) > len(names):
         flags.append("few_usable")
+    if not walks:
+        flags.append("counts_do_not_walk")
     below = found.lock_in_rate - found.by_random_walk
     if below > NORMAL_95 * math.hypot(found.lock_in_rate_u, found.by_random_walk_u):
         flags.append("walk_too_small")
     if seen > _LARGER * settings.dither.rate_dps:
         flags.append("dither_larger")
     return replace(found, flags=tuple(flags))
+
+
+_BY_WALK = "by_random_walk", "by_random_walk_u", "by_random_walk_low_95", "by_random_walk_high_95"
+
+
+def _random_walk(settings: Settings, factor: float) -> tuple[tuple[float, ...], bool]:
+    """Random walk of the counts as they show it, or as it is stated, deg/sqrt(h): value, u, 95 %; if it is one."""
+    dither = settings.dither
+    if dither.counts and not isinstance(dither.counts, str):
+        try:
+            found = walk_of_counts(dither.counts, dither.gate_s, scale_factor=factor)
+        except NoFit:
+            return (math.nan,) * 4, False
+        return tuple(60 * one for one in astuple(found)[:-1]) if found.walks else (math.nan,) * 4, found.walks
+    value = dither.random_walk_deg_per_sqrt_h or math.nan
+    u = dither.random_walk_u_deg_per_sqrt_h or _WALK_U * value
+    return (value, u, max(value - NORMAL_95 * u, 0.0), value + NORMAL_95 * u), True
 
 
 def common_share(settings: Settings) -> float:
@@ -180,7 +201,7 @@ QUANTITIES = (
             SCALE_FACTOR,
         )
     ),
-    QuantityGroup((Quantity("lock_in_rate", "dps", "by_random_walk", u=True),), "by_random_walk"),
+    QuantityGroup((Quantity("lock_in_rate", "dps", "by_random_walk", u=True, interval=True),), "by_random_walk"),
 )
 
 
@@ -201,7 +222,10 @@ def result(found: DitheredEvaluation, run: SavedRun, settings: Settings) -> Resu
         "not_significant": "The lock-in rate does not stand out of its uncertainty: take more records.",
         "few_usable": "More than half of the records cannot be used; the reason stands with each.",
         "dither_larger": f"By K the dither is {found.dither_rate:.4g} deg/s, more than stated: one is wrong.",
-        "walk_too_small": f"The stated random walk allows {by_walk}, less than the records show: one is wrong.",
+        "counts_do_not_walk": "The counts hold more than a random walk, such as the swing of the dither, and tell "
+        "nothing: take gates of whole dither periods.",
+        "walk_too_small": f"The random walk of the counts allows {by_walk}, less than the records show: one is "
+        "wrong.",
     }
     truth, beside = run.facts.truth, document(found, QUANTITIES[1].quantities)
     return Result(

@@ -16,6 +16,7 @@ from pydantic import Discriminator, Field, Tag
 
 from analysis.budget import FRONT_END_LIMIT, LATITUDE_LIMIT_DEG, PROBE_LIMIT, BenchKnowledge, ResponseCorner
 from analysis.channel import ChannelResponse
+from analysis.dithered import FEWEST_GATES
 from analysis.lock_in_run import Method, RunKnowledge
 from analysis.single_beams import BeamsKnowledge
 from station.controllers import ControllersSettings, with_controllers
@@ -233,7 +234,7 @@ def _check(settings: Settings, path: Path) -> Settings:
         raise SettingsError(f"{path}: beams.level_v: needs one level for each of beams.channels, or none")
     if settings.beams.channels and settings.scope.quadrature_channel:
         raise SettingsError(f"{path}: beams.channels: either single beams or a cosine channel, not both")
-    return _with_response(path, with_controllers(settings, settings.table.kind, path))
+    return _with_counts(path, _with_response(path, with_controllers(settings, settings.table.kind, path)))
 
 
 def _with_response(path: Path, settings: Settings) -> Settings:
@@ -247,6 +248,25 @@ def _with_response(path: Path, settings: Settings) -> Settings:
     # a relative name is meant from where the settings stand
     rows = read_response(path.parent / front_end.response_file)
     return settings.model_copy(update={"front_end": front_end.model_copy(update={"response": rows})})
+
+
+def _with_counts(path: Path, settings: Settings) -> Settings:
+    named, counts = settings.dither.counts, list[int]()
+    if not named:
+        return settings
+    file = path.parent / named if isinstance(named, str) else path
+    for number, line in enumerate(read_text(file).splitlines() if isinstance(named, str) else (), start=1):
+        try:
+            counts += [int(line)] if line.strip() and line.lstrip()[0] != "#" else []
+        except ValueError:
+            if number > 1:  # the first line may be a heading
+                raise SettingsError(f"{file}: line {number}: not a whole number of counts: {line!r}") from None
+    whole = tuple(counts) if isinstance(named, str) else named
+    if len(whole) < FEWEST_GATES:
+        raise SettingsError(
+            f"{file}: {len(whole)} gates of counts show no random walk: it takes {FEWEST_GATES} at least"
+        )
+    return settings.model_copy(update={"dither": settings.dither.model_copy(update={"counts": whole})})
 
 
 def read_response(path: Path) -> tuple[ResponseRow, ...]:
@@ -296,6 +316,7 @@ RING_LASER = SettingsKind(
     knowledge=(
         *("front_end", "budget.*", "limits.*", "beams.*", "table.known_tilt_deg", "table.known_tilt_u_deg"),
         *("dither.frequency_hz", "dither.random_walk_deg_per_sqrt_h", "dither.random_walk_u_deg_per_sqrt_h"),
+        *("dither.counts", "dither.gate_s"),
     ),
 )
 
@@ -343,7 +364,12 @@ def _beams_knowledge(settings: Settings) -> BeamsKnowledge:
         ac_corner_hz=beams_corner_hz(settings),
         bandwidth_hz=stated.bandwidth_hz or math.nan,
         rate_u=table_u or math.nan,
+        dead_band=stated.dead_band_dps or math.nan,
+        dead_band_u=stated.dead_band_u_dps or _DEAD_BAND_U * stated.dead_band_dps,
     )
+
+
+_DEAD_BAND_U = 0.1  # of a lock-in rate by the dead band whose uncertainty is not stated
 
 
 def bench_knowledge(settings: Settings) -> BenchKnowledge:

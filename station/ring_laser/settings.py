@@ -43,6 +43,8 @@ class BeamsSettings(SettingsSection):
     level_u_percent: NotNegative = 0.0
     crosstalk_limit_db: Annotated[float, Field(ge=-200, le=0)] = 0.0
     bandwidth_hz: NotNegative = 0.0
+    dead_band_dps: NotNegative = 0.0
+    dead_band_u_dps: NotNegative = 0.0
 
 
 class DitherSettings(SettingsSection):
@@ -55,6 +57,8 @@ class DitherSettings(SettingsSection):
     records: Annotated[int, Field(ge=1, le=10_000)] = 20
     random_walk_deg_per_sqrt_h: NotNegative = 0.0
     random_walk_u_deg_per_sqrt_h: NotNegative = 0.0
+    counts: str | Annotated[tuple[int, ...], Field(max_length=100_000)] = ()
+    gate_s: Positive = 1.0
 
 
 class DitherMotionSettings(SettingsSection):

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
-from analysis import combine_dithered, estimate_dithered, lock_in_of_random_walk
+from analysis import combine_dithered, estimate_dithered, lock_in_of_random_walk, walk_of_counts
 from analysis.arrays import NoFit
 from analysis.dithered import DitheredEstimate, DitherFlag, dithered_bound
+from benchmarks.dithered import hour_of_counts
 
 K, SAMPLES, FINER = 2000.0, 2500, 8
 
@@ -217,3 +218,32 @@ def test_what_cannot_be_followed_is_no_number():
 def test_the_random_walk_of_counts():
     # science.md (2.13) and its table: 1.262e-4 deg/sqrt(s) for 0.05 deg/s at 50 deg/s and 500 pulses/deg
     assert lock_in_of_random_walk(1.262e-4, scale_factor=500, dither_rate=50) == pytest.approx(0.05, rel=1e-3)
+
+
+@pytest.mark.parametrize(("k", "true"), [(1000.0, 0.02), (3000.0, 0.15)])
+def test_counts_tell_a_walk_of_hundredths_of_a_count(k, true):
+    """Every turning point a step of the phase, which the counts cut to whole numbers."""
+    rng = np.random.default_rng(5)
+    per_walk = lock_in_of_random_walk(1.0, scale_factor=k, dither_rate=100.0)
+    off, u = [], []
+    for _ in range(5):
+        found = walk_of_counts(hour_of_counts(rng, k, true, 100.0, 1000), 1.0, scale_factor=k)
+        assert found.walks and found.random_walk_low_95 < found.random_walk < found.random_walk_high_95
+        off.append((per_walk * found.random_walk - true) / (per_walk * found.random_walk_u))
+        u.append(found.random_walk_u / found.random_walk)
+    assert np.abs(off).max() < 3.5 and np.sqrt(np.mean(np.square(off))) < 1.6
+    # no estimator has less than that of a walk that is seen without rounding
+    assert 0.9 / np.sqrt(2000) < np.median(u) < 0.2
+
+
+def test_counts_that_are_no_walk_say_so():
+    rng = np.random.default_rng(6)
+    walk = hour_of_counts(rng, 2000.0, 0.05, 100.0, 1000)
+    swing = np.rint(80 * np.sin(2 * np.pi * rng.uniform(size=1001))).astype(int)
+    assert not walk_of_counts(walk + np.diff(swing), 1.0, scale_factor=2000.0).walks
+    with pytest.raises(NoFit, match="longer gates"):
+        walk_of_counts(np.full(1000, 3), 1.0, scale_factor=2000.0)
+    with pytest.raises(ValueError, match="200 whole numbers"):
+        walk_of_counts(walk + 0.5, 1.0, scale_factor=2000.0)
+    with pytest.raises(ValueError, match="200 whole numbers"):
+        walk_of_counts(walk[:150], 1.0, scale_factor=2000.0)

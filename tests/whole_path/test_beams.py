@@ -15,6 +15,7 @@ LASER = (
     "gain_corner_hz = 300.0\n"
     "[simulation.beams]\ncrosstalk_db = -50.0\n"
 )
+BAND = "dead_band_dps = 0.012\ndead_band_u_dps = 0.0002\n"
 BEAMS = '[beams]\nchannels = ["CH2", "CH3"]\n'
 
 
@@ -68,10 +69,18 @@ def test_analysis_again_gives_the_same(gyrolock, taken: Path) -> None:
     for name in ("lock_in_rate_dps", "lock_in_rate_u_dps", "beams", "routes"):
         assert again[name] == document(taken)[name]
     # a level that was measured better
-    Path(run.parent / "known.toml").write_text("[beams]\nlevel_v = [1.0, 0.8]\nlevel_u_percent = 0.2\n")
+    Path(run.parent / "known.toml").write_text("[beams]\nlevel_v = [1.0, 0.8]\nlevel_u_percent = 0.2\n" + BAND)
     better = gyrolock("analyze", run, "--config", run.parent / "known.toml", "--json").document
     assert better["lock_in_rate_u_dps"] <= again["lock_in_rate_u_dps"] * 1.01
     assert abs(better["lock_in_rate_dps"] - 0.01) < 3 * better["lock_in_rate_u_dps"]
+    # the dead band is a route beside the others, and one that lies apart is told
+    assert better["routes"][-1] == {
+        "route": "dead band", "lock_in_rate_dps": 0.012, "lock_in_rate_u_dps": 0.0002,
+        "lock_in_rate_low_95_dps": pytest.approx(0.011608, abs=1e-6),
+        "lock_in_rate_high_95_dps": pytest.approx(0.012392, abs=1e-6),
+    }  # fmt: skip
+    assert better["beams"]["routes_chi_square"] > again["beams"]["routes_chi_square"] + 50
+    assert "routes_differ" in better["beams"]["flags"]
 
 
 def test_a_damaged_beam_costs_itself(gyrolock, taken: Path, tmp_path: Path) -> None:

@@ -15,6 +15,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from analysis.ring_laser import Dither, DitheredFringe, Gyro, Winking
+from benchmarks.dithered import hour_of_counts
 from station.cli import main
 from station.lock_in.settings import load_settings
 from station.plan import predict
@@ -87,6 +88,21 @@ def test_it_is_evaluated_again_and_beside_a_random_walk(taken: Path) -> None:
         )
         assert ("walk_too_small" in beside["flags"]) == flagged
         assert (beside["standing"] == "doubtful") == flagged
+    # the counts tell it themselves; what they are not, they do not tell
+    counts = hour_of_counts(np.random.default_rng(3), 2000.0, said["lock_in_rate_dps"], 100.0, 1000)
+    swing = np.diff(np.rint(80 * np.sin(2 * np.pi * np.random.default_rng(4).uniform(size=1001)))).astype(int)
+    for told_counts, flagged in ((counts, False), (counts + swing, True)):
+        (taken / "counts.csv").write_text("counts\n" + "\n".join(map(str, told_counts)) + "\n")
+        (taken / "counts.toml").write_text('[dither]\ncounts = "counts.csv"\n')
+        beside = told(taken, f"analyze {said['run']} --config counts.toml")
+        assert ("counts_do_not_walk" in beside["flags"]) == (beside["by_random_walk"] is None) == flagged
+        if not flagged:
+            low, high = (beside["by_random_walk"][f"lock_in_rate_{end}_95_dps"] for end in ("low", "high"))
+            assert low < said["lock_in_rate_dps"] < high < 1.5 * low
+    for text, why in (("1\n2\n3.5\n", "line 3: not a whole number"), ("1\n" * 150, "150 gates")):
+        (taken / "counts.csv").write_text(text)
+        refused = gyrolock(taken, f"analyze {said['run']} --config counts.toml")
+        assert refused.returncode == 2 and why in refused.stderr
     # another dither than the one that was there is no number
     (taken / "wrong.toml").write_text("[dither]\nfrequency_hz = 520.0\n")
     wrong = gyrolock(taken, f"analyze {said['run']} --config wrong.toml")

@@ -17,8 +17,9 @@ spoil them as its unknowns, each with a bound.
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from enum import IntFlag
 from typing import Literal
@@ -261,9 +262,8 @@ class _Lasers:
     @classmethod
     def of(cls, parameters: Floats, data: _Data) -> _Lasers:
         """From parameters (B, N_PARAMETERS)."""
-        some, sense = data.points.points, np.sign(data.points.points.rate)
-        column = parameters[:, np.newaxis]
-        turned = column[..., BETWEEN] * sense / 2 + column[..., TURN] * some.when
+        some, column = data.points.points, parameters[:, np.newaxis]
+        turned = column[..., BETWEEN] * np.sign(some.rate) / 2 + column[..., TURN] * some.when
         turned = turned + column[..., BEND] * (6 * some.when**2 - 0.5)
         then = (1 + column[..., DRIFT] * some.when) * np.exp(1j * turned)
         first, second = (_backscatter(column[..., part]) * then for part in (FIRST, SECOND))
@@ -277,7 +277,10 @@ class _Lasers:
 
 def _backscatter(part: Floats) -> Complexes:
     """A complex number (...), rad/s, from its logarithm (..., 2)."""
-    return np.asarray(np.exp(part[..., 0] + 1j * part[..., 1]))
+    return np.asarray(np.exp(np.clip(part[..., 0], -_FARTHEST, _FARTHEST) + 1j * part[..., 1]))
+
+
+_FARTHEST = 30.0  # that a search may go
 
 
 class _LaserModel:
@@ -290,6 +293,7 @@ class _LaserModel:
         self._sense = np.sign(some.rate)
         self._values = np.zeros((some.rate.size, 2, (_FEWEST - 1) * turns + 1))
         self._sagnac = self._sense * some.angular
+        self.softer = 1.0  # times as much noise as there is
 
     def residual(self, parameters: Floats, *, keep: bool = False) -> Floats:
         """Everything in its standard uncertainties for parameters (B, N_PARAMETERS): (B, values)."""
@@ -305,8 +309,9 @@ class _LaserModel:
         counts = float(data.harmonics)
         with np.errstate(invalid="ignore"):
             of_ratio, of_third = counts * of_ratio, counts * of_third
-        parts = of_ratio, of_third, of_swing.real, of_swing.imag, of_rate, before
-        whole = np.concatenate([part.reshape(len(parameters), -1) for part in parts], axis=-1)
+        parts = of_ratio, of_third, of_swing.real, of_swing.imag, of_rate
+        seen = [part.reshape(len(parameters), -1) / self.softer for part in parts]
+        whole = np.concatenate([*seen, before], axis=-1)
         return np.where(found[:, np.newaxis] & np.isfinite(whole), whole, _FAILED)
 
     def predicted(
@@ -325,11 +330,11 @@ class _LaserModel:
             third = (left * turn**3).real / np.abs(value)
         beams = np.einsum("bik,bk->bi", light.beams, light.kernel[:, 0])[back]
         swing = (beams * (np.abs(lines[:, 0]) / lines[:, 0])[:, np.newaxis]).reshape(*shape, 2)
+        swing = swing / (1 + 1j * angular[:, np.newaxis] * column[..., DELAY])
         swing = swing + column[..., CROSSTALK] * data.over + column[..., OTHER_BEAM] * swing[..., ::-1]
-        slow = 1 + 1j * angular[:, np.newaxis] * column[..., DELAY]
         hertz, stated = angular[:, np.newaxis] / (2 * np.pi), data.ac_corner_hz
         corner = (hertz - 1j * stated) / (hertz - 1j * (stated + column[..., CORNER, np.newaxis]))
-        swing = np.exp(column[..., LEVEL]) * swing * corner / slow
+        swing = np.exp(column[..., LEVEL]) * swing * corner
         ratio, good = (np.conj(w) * turn).reshape(shape), light.found[back].reshape(shape).all(axis=1)
         return ratio, third.reshape(shape), swing, light.sagnac[back].reshape(shape), np.asarray(good)
 
@@ -740,9 +745,7 @@ _SMALL = 1e-6
 def _solutions(data: _Data, starts: Floats | None = None) -> list[_Solution]:
     """The minima that are possible, the best first."""
     model = _LaserModel(data)
-    tried = _starts(data) if starts is None else list(starts)
-    ended = (_search(model, start, _TRIES) for start in tried)
-    looked = sorted((one for one in ended if one is not None), key=lambda one: one[1])
+    looked = [(start, 0.0) for start in starts] if starts is not None else _looked(model, _starts(data))
     if not looked:
         raise NoFit("no two-mode laser fits the records of beat and beams")
     found: list[_Solution] = []
@@ -762,6 +765,24 @@ def _solutions(data: _Data, starts: Floats | None = None) -> list[_Solution]:
             "no two-mode laser is near what beat and beams show: is their backscatter too strong for its gain?"
         )
     return [one for one in found if one.chi_square < found[0].chi_square + POSSIBLE]
+
+
+_SOFTER = (1.0,), (50.0, 7.0)
+
+
+def _looked(model: _LaserModel, starts: Iterable[Floats]) -> list[tuple[Floats, float]]:
+    """Where some steps from each start lead, and chi-square there, the best first."""
+    # with noise that becomes less what is known beforehand leads past narrow valleys; without, into others
+    ended = list[tuple[Floats, float]]()
+    for start, way in itertools.product(starts, _SOFTER):
+        end: tuple[Floats, float] | None = start, 0.0
+        for model.softer in way:
+            end = end and _search(model, end[0], _TRIES)
+        model.softer = 1.0
+        if end is not None:
+            residual = model.residual(end[0][np.newaxis])[0]
+            ended.append((end[0], float(residual @ residual)))
+    return sorted(ended, key=lambda one: one[1])
 
 
 def _search(model: _LaserModel, start: Floats, evaluations: int) -> tuple[Floats, float] | None:
@@ -800,7 +821,7 @@ def _solution(model: _LaserModel, parameters: Floats) -> _Solution:
     free = np.flatnonzero(model.data.sd > 0)
     residual = model.residual(parameters[np.newaxis], keep=True)[0]
     slopes = _jacobian(model, parameters, free)
-    size = np.maximum(np.linalg.norm(slopes, axis=0), 1e-300)
+    size = np.maximum(np.linalg.norm(slopes, axis=0), 1e-100)
     eigenvalues, vectors = np.linalg.eigh((slopes / size).T @ (slopes / size))
     eigenvalues = np.maximum(eigenvalues, 1e-14)
     covariance = np.zeros((N_PARAMETERS, N_PARAMETERS))

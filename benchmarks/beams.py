@@ -1,7 +1,9 @@
 """`python -m benchmarks.beams`: beat and single beams together, on lasers that are integrated in time.
 
 Each bench draws its coupling (phase sum 0 to 180 degrees, a2/a1 0.3 to 3), the gain (slowest beat over its corner
-0.01 to 3), cross saturation, contrast, distortion, levels, crosstalk of -40 dB, and the corner of the AC coupling.
+0.01 to 3), cross saturation and contrast, and within the bounds that hold where nobody states more: what turns and
+grows over the run and between the senses, rates of the table with scale and bias, distortion of second and third
+order, poles of three receivers, levels, crosstalk of -40 dB, the corner of the AC coupling.
 The equations of the laser go through time with an eighth-order integrator. Printed for each plan: how the answer
 with beams and that of the beat alone cover the truth, their pull (rms of error over u), the chance of a uniform
 place of the truth (Kolmogorov and Smirnov), the median u, the median width of the interval with beams over that
@@ -16,7 +18,7 @@ import multiprocessing
 import os
 import sys
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -25,10 +27,19 @@ from scipy.integrate import solve_ivp
 
 from analysis import estimate_lock_in, fit_rates
 from analysis.arrays import Complexes, Floats, NoFit
+from analysis.budget import (
+    LOCK_IN_DRIFT_LIMIT,
+    PHASE_CHANGE_LIMIT,
+    SCALE_FACTOR_LIMIT,
+    SECOND_ORDER_LIMIT,
+    TABLE_RATE_LIMIT,
+    THIRD_ORDER_LIMIT,
+    lowest_bandwidth,
+)
 from analysis.single_beams import BeamModulation, BeamsFlag, BeamsKnowledge, beam_modulation, fit_beams
 
 K, WL, SAMPLES, PERIODS, RECORDS = 2000.0, 0.01, 2500, 20, 4
-CROSSTALK, LEVEL_U, AC_HZ, AC_SPREAD, NOISE, FILL = 0.01, 0.01, 10.0, 0.1, 0.6, 90
+CROSSTALK, LEVEL_U, AC_HZ, AC_SPREAD, NOISE, FILL, EARTH = 0.01, 0.01, 10.0, 0.2, 0.6, 90, 0.004
 POINTS = 256  # of one period, taken from the integrator
 _SETTLING, _MOST_PERIODS, _LONGEST = 15.0, 400, 12
 
@@ -53,6 +64,12 @@ class Bench:
     readout: float
     contrast: float
     distortion: float
+    third_order: float
+    lags: Floats  # s, poles of the beat's receiver and of both beams'
+    between: float  # what turns the phase, rad: with the sense, over the run, as its bend
+    turn: float
+    bend: float
+    drift: float  # of the backscatter over the run, relative
     levels: Floats  # V, of both beams
     crosstalk: Floats  # of the beat, and of the other beam, into each
     other: Floats
@@ -73,10 +90,14 @@ class Bench:
             a1 * ratio,
             phase_sum,
             gain,
-            rng.uniform(0.3, 0.7),
+            rng.uniform(0.1, 0.9),
             rng.uniform(0, 2 * math.pi),
             rng.uniform(0.5, 1),
-            0.003 * rng.uniform(-1, 1),
+            SECOND_ORDER_LIMIT * rng.uniform(-1, 1),
+            THIRD_ORDER_LIMIT * rng.uniform(-1, 1),
+            rng.uniform(0, 1, 3) / (2 * math.pi * lowest_bandwidth(slowest / (2 * math.pi))),
+            *PHASE_CHANGE_LIMIT * rng.uniform(-1, 1, 3),
+            LOCK_IN_DRIFT_LIMIT * rng.uniform(-1, 1),
             np.exp(rng.uniform(math.log(0.3), math.log(3), 2)),
             rng.uniform(-CROSSTALK, CROSSTALK, 2),
             rng.uniform(-CROSSTALK, CROSSTALK, 2),
@@ -84,8 +105,8 @@ class Bench:
         )
         return bench, base * np.array(rates)
 
-    def period(self, rate: float) -> tuple[Floats, float] | None:
-        """Beat and both beams in volts over one period (3, POINTS), and the beat in Hz; ``None``: locked."""
+    def period(self, rate: float) -> tuple[Complexes, float] | None:
+        """Fields of both beams over one period (2, POINTS), and the beat in Hz; ``None``: locked."""
         back, xi = np.exp(-0.5j * self.phase_sum), self.saturation
         sagnac = 2 * math.pi * K * rate
 
@@ -111,29 +132,38 @@ class Bench:
             return None
         first, length = passed[0], passed[1] - passed[0]
         fields = going.sol(first + np.arange(POINTS) * length / POINTS)
-        light, both = np.abs(fields) ** 2, fields[0] * np.conj(fields[1])
-        fringes = (both * np.exp(1j * self.readout)).imag + light.mean(axis=0) / self.contrast
-        fringes = fringes - fringes.mean()
-        fringes = fringes + 2 * self.distortion * fringes**2
-        beams = self.levels[:, np.newaxis] * light
-        beams = beams + self.crosstalk[:, np.newaxis] * fringes + self.other[:, np.newaxis] * beams[::-1]
-        return np.stack([fringes, *beams]), 1 / length
+        return fields, 1 / length
 
-    def records(self, rate: float, rng: np.random.Generator) -> tuple[Floats, float] | None:
-        """Volts (3, RECORDS, SAMPLES) in eight bits, and the sample interval."""
-        found = self.period(rate)
-        if found is None:
-            return None
-        period, frequency = found
-        lines: Complexes = np.fft.rfft(period) * (2 / POINTS)
+    def records(self, rate: float, when: Floats, rng: np.random.Generator) -> tuple[Floats, float] | None:
+        """Volts (3, RECORDS, SAMPLES) in eight bits, taken at such places in the run, and the sample interval."""
+        every, interval = [], 0.0
+        for part in np.array_split(when, 2):  # which are the points of a fit
+            grown = 1 + self.drift * part.mean()
+            found = replace(self, a1=self.a1 * grown, a2=self.a2 * grown).period(rate)
+            if found is None:
+                return None
+            interval = interval or PERIODS / found[1] / SAMPLES
+            for place in part:
+                turns = rng.uniform() + found[1] * interval * np.arange(SAMPLES)
+                every.append(self._volts(rate, float(place), *found, turns))
+        volts = np.stack(every, axis=1)
+        level = np.abs(volts).max(axis=(1, 2), keepdims=True) / FILL
+        return np.round(volts / level + NOISE * rng.standard_normal(volts.shape)) * level, interval
+
+    def _volts(self, rate: float, when: float, fields: Complexes, frequency: float, turns: Floats) -> Floats:
+        """Beat and both beams, (3, SAMPLES), at so many turns of the beat."""
+        turned = self.between * math.copysign(0.5, rate) + self.turn * when + self.bend * (6 * when**2 - 0.5)
+        light, both = np.abs(fields) ** 2, fields[0] * np.conj(fields[1])
+        fringes = (both * np.exp(1j * (self.readout - turned))).imag + (light.mean(axis=0) - 1) / self.contrast
+        fringes = fringes + 2 * self.distortion * fringes**2 + 4 * self.third_order * fringes**3
+        lines: Complexes = np.fft.rfft(np.stack([fringes, *self.levels[:, np.newaxis] * light])) * (2 / POINTS)
         lines[:, 0] = 0
+        lines /= 1 + 2j * np.pi * frequency * self.lags[:, np.newaxis] * np.arange(lines.shape[1])
+        # crosstalk is that of the channels, behind the receivers
+        lines[1:] += self.crosstalk[:, np.newaxis] * lines[0] + self.other[:, np.newaxis] * lines[:0:-1]
         lines[1:, 1:] /= 1 - 1j * self.corner_hz / (frequency * np.arange(1, lines.shape[1]))
         orders = np.flatnonzero(np.abs(lines).max(axis=0) > 1e-8)
-        phase = np.arange(SAMPLES) * (PERIODS / SAMPLES) + rng.uniform(0, 1, (RECORDS, 1))
-        volts = np.array([sum((line[n] * np.exp(2j * np.pi * n * phase)).real for n in orders) for line in lines])
-        level = np.abs(volts).max(axis=-1, keepdims=True) / FILL
-        volts = np.round(volts / level + NOISE * rng.standard_normal(volts.shape)) * level
-        return volts, PERIODS / frequency / SAMPLES
+        return np.asarray((lines[:, orders] @ np.exp(2j * np.pi * orders[:, np.newaxis] * turns)).real)
 
 
 @dataclass(frozen=True)
@@ -155,7 +185,9 @@ def outcome(rates: tuple[float, ...], seed: int) -> Outcome | None:
     records = None
     while records is None or any(one is None for one in records):
         bench, axis = Bench.drawn(rng, rates)
-        records = [bench.records(float(rate), rng) for rate in axis]
+        places = np.linspace(-0.5, 0.5, len(axis) * RECORDS).reshape(-1, RECORDS)
+        with np.errstate(over="ignore", invalid="ignore"):  # of a step that the integrator takes back
+            records = [bench.records(float(rate), when, rng) for rate, when in zip(axis, places, strict=True)]
     known = bench.levels * np.exp(LEVEL_U * rng.standard_normal(2))
     estimates, parts = [], []
     for one in records:
@@ -174,7 +206,9 @@ def outcome(rates: tuple[float, ...], seed: int) -> Outcome | None:
         int(np.bitwise_or.reduce([one.flags for one in parts])),
     )
     try:
-        alone = fit_rates(estimates, input_rate=np.repeat(axis, RECORDS), reference="beat", in_order=True)
+        scale = math.hypot(SCALE_FACTOR_LIMIT, TABLE_RATE_LIMIT) * rng.uniform(-1, 1)
+        stated = (axis - EARTH * rng.uniform(-1, 1)) / (1 + scale)
+        alone = fit_rates(estimates, input_rate=np.repeat(stated, RECORDS), reference="beat", in_order=True)
         fit = fit_beams(alone, whole, BeamsKnowledge(level_u=LEVEL_U, ac_corner_hz=AC_HZ, rate_u=20e-6))
     except NoFit:
         return None

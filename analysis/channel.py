@@ -169,14 +169,6 @@ def _lines(response: ChannelResponse, f: Floats, ratio: Floats) -> Complexes:
     return np.asarray(lines)
 
 
-def _left_by_series(response: ChannelResponse, f: Floats, ratio: Floats) -> Floats:
-    """Size (...) of what no geometric series can take up of the harmonics behind the channel."""
-    lines = _lines(response, f, ratio)
-    powers = _best_series(lines, lines[..., 1])[..., np.newaxis] ** np.arange(HARMONICS)
-    head = np.sum(lines * np.conj(powers), axis=-1) / np.sum(np.abs(powers) ** 2, axis=-1)
-    return np.asarray(np.linalg.norm(lines - head[..., np.newaxis] * powers, axis=-1))
-
-
 def _best_series(lines: Complexes, q: Complexes) -> Complexes:
     """q of the geometric series h q^(n-1) nearest to the lines (..., n), by Gauss-Newton with h solved for."""
     place = np.arange(lines.shape[-1])
@@ -229,7 +221,10 @@ def correct_response(estimate: LockInEstimate, response: ChannelResponse) -> Loc
         covariance = turn @ estimate.complex_ratio_covariance @ turn.swapaxes(-1, -2)
         covariance = covariance + _response_covariance(response, f, rho)
         # the channel has bent the waveform too, and that part of the misfit is explained
-        explained = EXPLAINED * _left_by_series(response, f, np.abs(rho))
+        lines = _lines(response, f, np.abs(rho))
+        powers = _best_series(lines, lines[..., 1])[..., np.newaxis] ** np.arange(HARMONICS)
+        head = np.sum(lines * np.conj(powers), axis=-1) / np.sum(np.abs(powers) ** 2, axis=-1)
+        explained = EXPLAINED * np.asarray(np.linalg.norm(lines - head[..., np.newaxis] * powers, axis=-1))
         misfit_u = np.sqrt(np.maximum(estimate.misfit_u**2 - explained**2, 0.0))
         corrected = with_ratio(estimate, rho, covariance, np.sign(estimate.input_rate), misfit_u)
     return replace(

@@ -28,7 +28,7 @@ import numpy as np
 import scipy.special
 from numpy.typing import ArrayLike
 
-from analysis.arrays import NORMAL_95, Bools, Complexes, Floats, Indices, NoFit
+from analysis.arrays import NORMAL_95, Bools, Complexes, Floats, Indices, NoFit, Stacked
 from analysis.budget import SCALE_FACTOR_LIMIT, TABLE_RATE_LIMIT, lowest_bandwidth
 from analysis.frequency_method import fit_frequencies
 from analysis.harmonics import fit_free_harmonics
@@ -69,7 +69,7 @@ class BeamsFlag(IntFlag):
 
 
 @dataclass(frozen=True)
-class BeamModulation:
+class BeamModulation(Stacked):
     """Swing of the single beams at the beat frequency, of n records of two beams; nan where there is none.
 
     modulation : (n, 2) complex, AC over DC, its phase against that of the beat's fundamental
@@ -82,12 +82,6 @@ class BeamModulation:
     modulation_u: Floats
     beat_over_level: Floats
     flags: int
-
-    def __getitem__(self, rows: slice | Bools | Indices) -> BeamModulation:
-        """Some of the records."""
-        return BeamModulation(
-            self.modulation[rows], self.modulation_u[rows], self.beat_over_level[rows], self.flags
-        )
 
 
 def beam_modulation(
@@ -252,27 +246,18 @@ _FEWEST, _STEEP, _STEEPER = 33, 0.25, 0.5  # points of a turn, and ratios above 
 _FAILED = 1e6  # in standard uncertainties, where there is no solution
 
 
-@dataclass(frozen=True)
-class _Lasers:
-    """The laser of each of B sets at each of P points, as :func:`periodic_states` takes it."""
-
-    numbers: Floats  # (B, P, 5)
-    readout: Floats  # (B, P) phase of the readout, rad
-
-    @classmethod
-    def of(cls, parameters: Floats, data: _Data) -> _Lasers:
-        """From parameters (B, N_PARAMETERS)."""
-        some, column = data.points.points, parameters[:, np.newaxis]
-        turned = column[..., BETWEEN] * np.sign(some.rate) / 2 + column[..., TURN] * some.when
-        turned = turned + column[..., BEND] * (6 * some.when**2 - 0.5)
-        then = (1 + column[..., DRIFT] * some.when) * np.exp(1j * turned)
-        first, second = (_backscatter(column[..., part]) * then for part in (FIRST, SECOND))
-        half = np.angle(second * np.conj(first)) / 2
-        saturation = np.clip(column[..., SATURATION], 0.0, _MOST_SATURATION) + 0 * half
-        numbers = np.stack(
-            [np.abs(first), np.abs(second), half, saturation, np.exp(column[..., GAIN]) + 0 * half], axis=-1
-        )
-        return cls(numbers, -np.angle(first * np.exp(1j * half)))
+def _lasers(parameters: Floats, data: _Data) -> tuple[Floats, Floats]:
+    """Lasers of B sets at P points for :func:`periodic_states`, (B, P, 5), and their readout phases (B, P)."""
+    some, column = data.points.points, parameters[:, np.newaxis]
+    turned = column[..., BETWEEN] * np.sign(some.rate) / 2 + column[..., TURN] * some.when
+    turned = turned + column[..., BEND] * (6 * some.when**2 - 0.5)
+    then = (1 + column[..., DRIFT] * some.when) * np.exp(1j * turned)
+    first, second = (_backscatter(column[..., part]) * then for part in (FIRST, SECOND))
+    half = np.angle(second * np.conj(first)) / 2
+    saturation = np.clip(column[..., SATURATION], 0.0, _MOST_SATURATION) + 0 * half
+    gain = np.exp(column[..., GAIN]) + 0 * half
+    numbers = np.stack([np.abs(first), np.abs(second), half, saturation, gain], axis=-1)
+    return numbers, -np.angle(first * np.exp(1j * half))
 
 
 def _backscatter(part: Floats) -> Complexes:
@@ -319,10 +304,10 @@ class _LaserModel:
     ) -> tuple[Complexes, Floats, Complexes, Floats, Bools]:
         """Ratio, third harmonic (B, P), modulation of the beams (B, P, 2), 2 pi K W (B, P); sets that have any."""
         data, angular, column = self.data, self.data.points.points.angular, parameters[:, np.newaxis]
-        lasers, shape = _Lasers.of(parameters, data), (len(parameters), angular.size)
-        light = self._light(lasers.numbers.reshape(-1, 5), keep=keep and len(parameters) == 1)
+        (numbers, readout), shape = _lasers(parameters, data), (len(parameters), angular.size)
+        light = self._light(numbers.reshape(-1, 5), keep=keep and len(parameters) == 1)
         back = light.of_set
-        lines = self._lines(parameters, lasers.readout.reshape(-1, 1), light)
+        lines = self._lines(parameters, readout.reshape(-1, 1), light)
         with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
             w, value = nearest_series(lines, lines[:, 1] / lines[:, 0])
             turn = np.abs(value) / value
@@ -538,7 +523,9 @@ def fit_beams(
     if knowledge is not None and (u_of_band := knowledge.dead_band_u) > 0:
         reach, band = NORMAL_95 * u_of_band, knowledge.dead_band
         routes += (Route("dead band", band, u_of_band, max(band - reach, 0.0), band + reach),)
-    routes_chi, routes_p = _agreement(routes)
+    ways = np.array([(route.lock_in_rate, max(route.lock_in_rate_u, 1e-300) ** -2) for route in routes])
+    routes_chi = float(ways[:, 1] @ (ways[:, 0] - np.average(ways[:, 0], weights=ways[:, 1])) ** 2)
+    routes_p = float(scipy.special.chdtrc(len(routes) - 1, routes_chi)) if len(routes) > 1 else math.nan
     conditions = {
         BeamsFlag.MISFIT: p_value < UNLIKELY,
         BeamsFlag.ROUTES_DIFFER: routes_p < UNLIKELY,
@@ -632,7 +619,7 @@ def _swings(points: Points, modulation: BeamModulation) -> tuple[Complexes, Floa
     records, places, count = points.records, points.places, len(points.places)
     sums = np.zeros((2, 4, count))
     for rows, data, _ in records.data():
-        some = modulation[rows]
+        some = modulation.take(rows)
         for beam in range(2):
             weight = np.nan_to_num(some.modulation_u[:, beam] ** -2.0)
             value, over = np.nan_to_num(some.modulation[:, beam]), np.nan_to_num(some.beat_over_level[:, beam])
@@ -643,7 +630,7 @@ def _swings(points: Points, modulation: BeamModulation) -> tuple[Complexes, Floa
     # records of one setting that scatter by more than their noise
     spread, freedom = 0.0, -2 * int(np.count_nonzero(sums[:, 0]))
     for rows, data, _ in records.data():
-        some = modulation[rows]
+        some = modulation.take(rows)
         left = np.abs(some.modulation - mean[:, places[data]].T) / some.modulation_u
         spread, freedom = spread + float(np.nansum(left**2)), freedom + 2 * int(np.isfinite(left).sum())
     unlikely = freedom > 0 and float(scipy.special.chdtrc(freedom, spread)) < UNLIKELY
@@ -877,14 +864,6 @@ def _linear(data: _Data, gain: float, level: float) -> tuple[Floats, float]:
     start[GAIN], start[CROSSTALK], start[DISTORTION] = math.log(gain), values[4:6], values[6]
     start[LEVEL] = level * (data.sd[LEVEL] > 0)
     return start, float(np.sum((system @ values - aims) ** 2))
-
-
-def _agreement(routes: Sequence[Route]) -> tuple[float, float]:
-    """Chi-square between the routes, and its probability; nan for a single one."""
-    weights = np.array([1 / max(route.lock_in_rate_u, 1e-300) ** 2 for route in routes])
-    values = np.array([route.lock_in_rate for route in routes])
-    apart = float(np.sum((values - np.average(values, weights=weights)) ** 2 * weights))
-    return apart, float(scipy.special.chdtrc(len(routes) - 1, apart)) if len(routes) > 1 else math.nan
 
 
 _FREED_U = 0.03  # of the push that is taken out of the beats, relative

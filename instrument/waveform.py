@@ -423,17 +423,12 @@ def _path(values: NDArray[np.float64], screen: tuple[float, float]) -> str:
             continue
         x = _LEFT + (place + 0.5) * step
         ends = [found[0], found.min(), found.max(), found[-1]] if len(found) > 1 else [found[0]]
-        for y in _heights(np.array(ends), screen):
+        bottom, top = screen
+        above_middle = (np.array(ends) - (bottom + top) / 2) / ((top - bottom) or 1.0)
+        for y in _MARGIN + _HEIGHT * (0.5 - np.clip(above_middle, -0.5, 0.5)):
             parts.append(f"{pen}{x:.1f} {y:.1f}")
             pen = "L"
     return "".join(parts)
-
-
-def _heights(values: NDArray[np.float64], screen: tuple[float, float]) -> NDArray[np.float64]:
-    """Heights in the picture; what lies off the screen is drawn at its edge."""
-    bottom, top = screen
-    above_middle = (values - (bottom + top) / 2) / ((top - bottom) or 1.0)
-    return _MARGIN + _HEIGHT * (0.5 - np.clip(above_middle, -0.5, 0.5))
 
 
 def _labels(ends: tuple[float, float], screen: tuple[float, float], units: tuple[str, str]) -> str:

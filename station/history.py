@@ -26,7 +26,6 @@ from station.results.quantity import Value
 from station.results.result import PlacedFigure, Section
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 
@@ -270,7 +269,14 @@ def course_svg(course: ControlSeries, name: str) -> str:
         above.plot(number, chart.values, "o-", color=ACCENT, ms=4, linewidth=0.8)
         below.plot(number[1:], chart.moving_range[1:], "o-", color=ACCENT, ms=3.5, linewidth=0.8)
         if chart.has_limits:
-            _limits(above, chart)
+            above.axhline(chart.centre, color=ACCENT, linewidth=1.0)
+            for sigmas in (1, 2):
+                for sign in (1, -1):
+                    above.axhline(chart.centre + sign * sigmas * chart.sigma, color=LINE, linewidth=0.9)
+            for sign in (1, -1):
+                above.axhline(
+                    chart.centre + 3 * sign * chart.sigma, color=SECOND, linewidth=1.0, linestyle=(0, (5, 3))
+                )
             below.axhline(chart.range_limit, color=SECOND, linewidth=1.0, linestyle=(0, (5, 3)))
         for axes, values, places in ((above, chart.values, flagged), (below, chart.moving_range, jumps)):
             axes.plot(number[places], values[places], "s", ms=8, mfc="none", mec=SECOND, mew=1.6)
@@ -286,15 +292,6 @@ def course_svg(course: ControlSeries, name: str) -> str:
         below.xaxis.set_major_formatter(FuncFormatter(lambda at, _: course.unit_at(round(at))))
 
     return svg_element(name, TALL, draw)
-
-
-def _limits(axes: Axes, chart: ControlChart) -> None:
-    axes.axhline(chart.centre, color=ACCENT, linewidth=1.0)
-    for sigmas in (1, 2):
-        for sign in (1, -1):
-            axes.axhline(chart.centre + sign * sigmas * chart.sigma, color=LINE, linewidth=0.9)
-    for sign in (1, -1):
-        axes.axhline(chart.centre + 3 * sign * chart.sigma, color=SECOND, linewidth=1.0, linestyle=(0, (5, 3)))
 
 
 # --------------------

@@ -376,13 +376,14 @@ _LARGE_SWING = 0.05
 def plan_sentences(planned: PlannedMeasurement) -> list[str]:
     """Say what the plan comes to and what to mind."""
     plan = planned.plan
-    return [
-        _outcome(plan),
-        *_why_not_faster(plan),
-        *_senses(plan),
-        *_elsewhere_sentence(planned),
-        *_warnings(plan),
-    ]
+    parts = [f"{100 * u:.2g} % if it is {rate:.3g} deg/s" for rate, u in planned.elsewhere if math.isfinite(u)]
+    locked = [f"{rate:.3g}" for rate, u in planned.elsewhere if not math.isfinite(u)]
+    said = [f"The lock-in rate is only expected; the same settings give {' and '.join(parts)}."] if parts else []
+    if locked:
+        said.append(
+            f"At a lock-in rate of {locked[0]} deg/s the gyro would be locked at this rate: choose a faster one."
+        )
+    return [_outcome(plan), *_why_not_faster(plan), *_senses(plan), *said, *_warnings(plan)]
 
 
 def rate_words(rate: PlannedRate) -> tuple[str, ...]:
@@ -499,17 +500,6 @@ def _separation(plan: Plan) -> list[str]:
             "rotation (--both-senses), the same records are free of it."
         ]
     return []
-
-
-def _elsewhere_sentence(planned: PlannedMeasurement) -> list[str]:
-    parts = [f"{100 * u:.2g} % if it is {rate:.3g} deg/s" for rate, u in planned.elsewhere if math.isfinite(u)]
-    locked = [f"{rate:.3g}" for rate, u in planned.elsewhere if not math.isfinite(u)]
-    said = [f"The lock-in rate is only expected; the same settings give {' and '.join(parts)}."] if parts else []
-    if locked:
-        said.append(
-            f"At a lock-in rate of {locked[0]} deg/s the gyro would be locked at this rate: choose a faster one."
-        )
-    return said
 
 
 def _warnings(plan: Plan) -> list[str]:

@@ -359,7 +359,14 @@ def find_cut(volts: Floats, period: float | None) -> Cut:
 
     def criterion(cut: Cut) -> float:
         """Schwarz's: more pieces must pay for themselves."""
-        return float(n * np.log(_scatter(filled, cut) + floor) + n / cut.period * np.log(n))
+        # A tenth may be samples on the wrong side of an edge, each of which would outweigh all others.
+        number = cut.index(np.arange(len(filled), dtype=np.float64))
+        numbers, _, heights = piece_means(filled, number, np.ones(len(filled), bool))
+        squares = (filled - heights[np.searchsorted(numbers, number)]) ** 2
+        return float(
+            n * np.log(float(np.mean(np.sort(squares)[: int(0.9 * len(squares))])) + floor)
+            + n / cut.period * np.log(n)
+        )
 
     cuts = sorted((_coarse_cut(filled, one, one**2 / n) for one in _candidates(filled)), key=criterion)
     return _without_false_edges(filled, min((_fine_cut(filled, cut) for cut in cuts[:_FINALISTS]), key=criterion))
@@ -434,15 +441,6 @@ def _candidates(volts: Floats) -> list[float]:
     return found
 
 
-def _scatter(volts: Floats, cut: Cut) -> float:
-    """Variance about the pieces of a cut, of the nine tenths of samples that lie nearest."""
-    # The rest may hold samples on the wrong side of an edge, each of which would outweigh all others.
-    number = cut.index(np.arange(len(volts), dtype=np.float64))
-    numbers, _, heights = piece_means(volts, number, np.ones(len(volts), bool))
-    squares = (volts - heights[np.searchsorted(numbers, number)]) ** 2
-    return float(np.mean(np.sort(squares)[: int(0.9 * len(squares))]))
-
-
 def _coarse_cut(volts: Floats, period: float, half_width: float) -> Cut:
     """The cut with the least scatter within its pieces, on a coarse grid of periods and starts."""
     n, sums = len(volts), _sums(volts)
@@ -495,19 +493,15 @@ def _without_false_edges(volts: Floats, cut: Cut) -> Cut:
     """A slow settling looks like further edges: take out those whose jumps only follow the jumps before them."""
     for parts in (6, 5, 4, 3, 2):
         if len(volts) / (parts * cut.period) >= MINIMUM_STEPS:
-            true = _true_edges(*_jumps(volts, cut), parts)
+            number = cut.index(np.arange(len(volts), dtype=np.float64))
+            numbers, counts, heights = piece_means(volts, number, np.ones(len(volts), bool))
+            residual = volts - heights[np.searchsorted(numbers, number)]
+            noise = 1.5 * float(np.median(np.abs(residual))) * np.sqrt(2 / float(np.median(counts)))
+            noise = max(noise, float(np.sqrt(rounding_variance(volts))))
+            true = _true_edges(numbers[1:], np.diff(heights), noise, parts)
             if true is not None:
                 return Cut(cut.period * parts, cut.start + true * cut.period)
     return cut
-
-
-def _jumps(volts: Floats, cut: Cut) -> tuple[Ints, Floats, float]:
-    """Number of each edge, the jump there, and its noise."""
-    number = cut.index(np.arange(len(volts), dtype=np.float64))
-    numbers, counts, heights = piece_means(volts, number, np.ones(len(volts), bool))
-    residual = volts - heights[np.searchsorted(numbers, number)]
-    noise = 1.5 * float(np.median(np.abs(residual))) * np.sqrt(2 / float(np.median(counts)))
-    return numbers[1:], np.diff(heights), max(noise, float(np.sqrt(rounding_variance(volts))))
 
 
 def _true_edges(edges: Ints, jumps: Floats, noise: float, parts: int) -> int | None:

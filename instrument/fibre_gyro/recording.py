@@ -476,14 +476,9 @@ def _earliest_line(index: Floats, host: Floats) -> tuple[float, float]:
     span = float(index[-1] - index[0])
     off = max(off, min(_BEAT_S, slope) * min(1.0, _BEATS / index.size))
     # rectangular: what is hidden is anything up to that
-    hidden = _widest_gap(slope + edge, int(span)) / np.sqrt(3.0)
+    places = np.sort(np.mod((slope + edge) * np.arange(min(int(span), _PLACES)), _ADAPTER_S))
+    hidden = float(np.max(np.diff(places, append=places[0] + _ADAPTER_S))) / np.sqrt(3.0)
     return slope + edge, float(np.hypot(2 * off, hidden)) / span
-
-
-def _widest_gap(interval: float, frames: int) -> float:
-    """Part of an adapter's period, s, in which no frame comes: all may drift by it and come out as before."""
-    places = np.sort(np.mod(interval * np.arange(min(frames, _PLACES)), _ADAPTER_S))
-    return float(np.max(np.diff(places, append=places[0] + _ADAPTER_S)))
 
 
 def _lower_hull(x: Floats, y: Floats) -> list[int]:

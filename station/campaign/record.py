@@ -22,7 +22,7 @@ from station.files import inert, provenance, version
 from station.measurements import steps_by_name
 from station.report.figure import renamed
 from station.report.show import render_page, write_page
-from station.results.result import FactTable, Rows, Section, plain
+from station.results.result import FactTable, Section, plain
 from station.results.verdict import ABORTED, Limit, LimitOutcome, judged, worst
 from station.runs.store import SavedRun, open_run
 from station.shell.finish import Evaluated, evaluate_run
@@ -466,6 +466,12 @@ def render_record(record: Mapping[str, Any], outcome: CampaignOutcome, evaluated
     tables = [table for table in _facts(record) if table.rows]
     middle = (len(tables) + 1) // 2
     tested = f"Tested {_time(record['started_at'])} to {_time(record['ended_at'])} UTC."
+    station = record["station"]["name"] or record["station"]["host"]
+    rows = [("operator", record["operator"]), ("station", station), ("note", record["note"])]
+    if record["resumed_at"]:
+        rows.append(("resumed", f"{len(record['resumed_at'])} times" if len(record["resumed_at"]) > 1 else "once"))
+    if record["unit"]["is_reference"]:
+        rows.append(("unit", "reference unit of the bench"))
     return render_page(
         "record.html.j2",
         title=f"{unit['serial']}, {record['started_at'][:10]}: {verdict or 'tested'}",
@@ -476,7 +482,7 @@ def render_record(record: Mapping[str, Any], outcome: CampaignOutcome, evaluated
         verdict=verdict or "TESTED",
         unit=f"{unit['serial']}, {unit['type']}" if unit["type"] else unit["serial"],
         lines=list(filter(None, [tested, record["outcome"]["message"]])),
-        labels=_labels(record),
+        labels=[(name, str(value)) for name, value in rows if value],
         limits=[
             {"state": _state(row[0]), **dict(zip(LIMIT_COLUMNS, row, strict=True))}
             for row in limits_table(outcome.steps).rows
@@ -502,16 +508,6 @@ def _state(verdict: str | None) -> str:
 
 def _time(at: str | None) -> str:
     return (at or "unknown")[:16].replace("T", " ")
-
-
-def _labels(record: Mapping[str, Any]) -> Rows:
-    station = record["station"]["name"] or record["station"]["host"]
-    rows = [("operator", record["operator"]), ("station", station), ("note", record["note"])]
-    if record["resumed_at"]:
-        rows.append(("resumed", f"{len(record['resumed_at'])} times" if len(record["resumed_at"]) > 1 else "once"))
-    if record["unit"]["is_reference"]:
-        rows.append(("unit", "reference unit of the bench"))
-    return [(name, str(value)) for name, value in rows if value]
 
 
 _RULES = {

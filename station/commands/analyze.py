@@ -123,7 +123,14 @@ def command(paths: tuple[str, ...], config: Path | None, **given: Any) -> int:
     its [limits], replace what the run holds of them, for a channel that was measured later; the rest stays. Of the
     bench that files come from nothing is known but what FILE states.
     """
-    _check(given)
+    if given["jsonl"] and given["as_json"]:
+        raise click.UsageError("--json and --jsonl exclude each other")
+    if given["table"] is not None and (given["combine"] or given["jsonl"]):
+        raise click.UsageError("--to writes one row a record: without --combine and --jsonl")
+    if not given["combine"] and (only := [one for one in ("rates_from", "channel", "report") if given[one]]):
+        raise click.UsageError(f"--{only[0].replace('_', '-')} needs --combine")
+    if given["cluster"] and given["processes"] > 1:
+        raise click.UsageError("--cluster and --processes exclude each other")
     from station.sources.find import find_sources, is_run
 
     with shown(given, command="analyze") as progress, _workers(given) as workers:
@@ -139,18 +146,6 @@ def command(paths: tuple[str, ...], config: Path | None, **given: Any) -> int:
         if given["combine"]:
             return analysis.combined(given["channel"], given["rates_from"], given["report"], answer)
         return analysis.each(answer)
-
-
-def _check(given: Mapping[str, Any]) -> None:
-    """Refuse options that do not go together, before anything is read."""
-    if given["jsonl"] and given["as_json"]:
-        raise click.UsageError("--json and --jsonl exclude each other")
-    if given["table"] is not None and (given["combine"] or given["jsonl"]):
-        raise click.UsageError("--to writes one row a record: without --combine and --jsonl")
-    if not given["combine"] and (only := [one for one in ("rates_from", "channel", "report") if given[one]]):
-        raise click.UsageError(f"--{only[0].replace('_', '-')} needs --combine")
-    if given["cluster"] and given["processes"] > 1:
-        raise click.UsageError("--cluster and --processes exclude each other")
 
 
 def _workers(given: Mapping[str, Any]) -> AbstractContextManager[Workers]:

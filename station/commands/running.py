@@ -241,7 +241,12 @@ def panel(directory: Path, port: int, host: str, opened: bool, as_json: bool) ->
 
 def _listening(host: str, port: int) -> socket.socket:
     """A socket that listens; UsageError where it cannot."""
-    _as_many_files_as_allowed()
+    # silent connections are not to use up the files that measurements need
+    with suppress(ImportError, OSError, ValueError):
+        import resource
+
+        _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
+        resource.setrlimit(resource.RLIMIT_NOFILE, (min(most, 65_536) if most > 0 else 65_536, most))
     try:
         family = socket.AF_INET6 if ":" in host else socket.AF_INET
         made = socket.socket(family, socket.SOCK_STREAM)
@@ -255,12 +260,3 @@ def _listening(host: str, port: int) -> socket.socket:
             "give another one with --port"
         ) from None
     return made
-
-
-def _as_many_files_as_allowed() -> None:
-    """Let silent connections not use up the files that measurements need."""
-    with suppress(ImportError, OSError, ValueError):
-        import resource
-
-        _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
-        resource.setrlimit(resource.RLIMIT_NOFILE, (min(most, 65_536) if most > 0 else 65_536, most))

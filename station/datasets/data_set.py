@@ -271,7 +271,8 @@ def export(
     if first is None:
         why = f" ({done.left_out[0]})" if done.left_out else ""
         raise UsageError(f"there is no record to export{why}")
-    width = _width(first)
+    sizes = [len(payload) for payload, coded in zip(first.payloads, first.coded, strict=True) if coded]
+    width = max(set(sizes), key=sizes.count) if sizes else _USUAL_WIDTH
     waiting: Rows | None = first
     with _kept_whole(place) as draft:
         while waiting is not None:
@@ -304,12 +305,6 @@ def _all_rows(sources: Iterable[Source], done: Exported) -> Iterator[Rows]:
             done.sources += 1
         except (StationError, InstrumentError, OSError) as error:
             done.left_out.append(ExcludedRecord(source.name, None, str(error).removeprefix(f"{source.name}: ")))
-
-
-def _width(rows: Rows) -> int:
-    """Bytes of the codes that most of the first records have."""
-    sizes = [len(payload) for payload, coded in zip(rows.payloads, rows.coded, strict=True) if coded]
-    return max(set(sizes), key=sizes.count) if sizes else _USUAL_WIDTH
 
 
 @contextmanager
@@ -434,7 +429,13 @@ def _write(source: Source, folder: Path, done: Exported, taken: Counter[Path]) -
             taken[below] += 1
         number = max(taken[below] - 1, 0)
         try:
-            wave = _waveform(record)
+            if not record.intact:
+                raise InstrumentError("is damaged")
+            if record.header.startswith("{"):
+                raise InstrumentError("is the output of a fibre gyro, not a record of an oscilloscope")
+            preamble = Preamble.parse(record.header)
+            kind: Any = np.int8 if preamble.byt_nr == 1 else ">i2"
+            wave = Waveform(np.frombuffer(record.payload, kind), preamble)
             text = csv_text(wave, keys)
         except InstrumentError as error:
             done.left_out.append(
@@ -452,16 +453,6 @@ def _write(source: Source, folder: Path, done: Exported, taken: Counter[Path]) -
         if isinstance(known, int | float) and one.is_dir():
             text = f"# of the gyro whose records these are\n[gyro]\nscale_factor_pulses_per_deg = {known!r}\n"
             (one / _SIDE_FILE).write_text(text, encoding="utf-8")
-
-
-def _waveform(record: SavedRecord) -> Waveform:
-    if not record.intact:
-        raise InstrumentError("is damaged")
-    if record.header.startswith("{"):
-        raise InstrumentError("is the output of a fibre gyro, not a record of an oscilloscope")
-    preamble = Preamble.parse(record.header)
-    kind: Any = np.int8 if preamble.byt_nr == 1 else ">i2"
-    return Waveform(np.frombuffer(record.payload, kind), preamble)
 
 
 def _keys(facts: RunFacts) -> Mapping[str, str]:

@@ -159,7 +159,12 @@ def result(found: EpsEvaluation, run: SavedRun, settings: FogSettings) -> Result
     """Put into numbers and sentences what was found."""
     eps, u = PPM * found.error.two_pi_error, PPM * found.error.two_pi_error_u
     lines = (f"The converter's range spans 2π (1 + eps); from {len(found.keys)} injected steps in open loop.",)
-    to_watch = tuple(_to_watch(found))
+    said = [f"{one.sentence}." for one in found.left_out]
+    error = found.error
+    if error.degrees_of_freedom > 0 and error.chi_square > 4 * error.degrees_of_freedom:
+        said.append(
+            "The steps do not agree within their noise: the converter is not linear, or the feedback was not held."
+        )
     return Result(
         name="result",
         value=f"eps = {ppm(eps, u)}",
@@ -173,8 +178,8 @@ def result(found: EpsEvaluation, run: SavedRun, settings: FogSettings) -> Result
         lines=lines,
         summary=[("", line) for line in lines],
         sentences=tuple(_sentences(found, settings)),
-        to_watch=to_watch,
-        flags=to_watch,
+        to_watch=tuple(said),
+        flags=tuple(said),
         left_out=found.left_out,
     )
 
@@ -208,16 +213,6 @@ def _sentences(found: EpsEvaluation, settings: FogSettings) -> list[str]:
         "It does not see L·D/λ: for that it takes the table. A self-calibration through the shared path sees "
         "neither.",
     ]
-
-
-def _to_watch(found: EpsEvaluation) -> list[str]:
-    said = [f"{one.sentence}." for one in found.left_out]
-    error = found.error
-    if error.degrees_of_freedom > 0 and error.chi_square > 4 * error.degrees_of_freedom:
-        said.append(
-            "The steps do not agree within their noise: the converter is not linear, or the feedback was not held."
-        )
-    return said
 
 
 # --------------------

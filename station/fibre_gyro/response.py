@@ -94,7 +94,12 @@ def evaluate(run: SavedRun, settings: FogSettings, choices: Mapping[str, Any]) -
         try:
             interval = checked(segment).interval_s
             if TABLE_ANGLE in segment.recording.extra and INJECTED not in segment.recording.extra:
-                sines.append(_sine(segment, settings))
+                recording = segment.recording
+                turned = np.unwrap(words_of(recording, TABLE_ANGLE), period=360.0)
+                rate = np.diff(turned, prepend=np.nan) / recording.interval_s
+                sines.append(
+                    sine_point(rate, words_of(recording) / settings.nominal_scale_factor, recording.interval_s)
+                )
                 continue
             found = step_response(words_of(segment.recording), interval, _steps(segment, settings))
         except ValueError as error:
@@ -135,13 +140,6 @@ def _steps(segment: Segment, settings: FogSettings) -> StepTrain:
     times, steps = turned_over(PlannedSegment("", recording.duration_s, 0.0, segment.conditions))
     before = np.concatenate([[float(segment.conditions["step_codes"])], steps[:-1]])
     return StepTrain(times, per_code * (steps - before), exact=False)
-
-
-def _sine(segment: Segment, settings: FogSettings) -> SinePoint:
-    recording = segment.recording
-    turned = np.unwrap(words_of(recording, TABLE_ANGLE), period=360.0)
-    rate = np.diff(turned, prepend=np.nan) / recording.interval_s
-    return sine_point(rate, words_of(recording) / settings.nominal_scale_factor, recording.interval_s)
 
 
 # --------------------

@@ -280,8 +280,11 @@ def plan(settings: FogSettings, axes: Sequence[str] | None = None) -> list[Plann
 
 def take(settings: FogSettings, session: Acquisition) -> None:
     """Take the segments on the bench."""
-    for fault in _fixed_window_faults(settings):
-        session.progress.note(f"will be left out: {fault}")
+    for rate in settings.table.rates_dps if settings.table.window_s else ():
+        try:
+            check_whole_turns(settings.table.window_s, rate, tolerance_s=1 / settings.simulation.output_rate_hz)
+        except ValueError as fault:
+            session.progress.note(f"will be left out: {fault}")
     planned_segments(plan)(settings, session)
 
 
@@ -301,17 +304,6 @@ def _named(row: LogRow, settings: FogSettings) -> NamedSegment:
 def _key(axis: str, rate_dps: float, end_up: int) -> str:
     """``"Z +20.01"``, ``"Z down -20"``."""
     return f"{axis}{'' if end_up > 0 else ' down'} {rate_dps:+.10g}"
-
-
-def _fixed_window_faults(settings: FogSettings) -> list[str]:
-    """Say which rates a window of fixed length is no whole number of turns at, before anything turns."""
-    faults = []
-    for rate in settings.table.rates_dps if settings.table.window_s else ():
-        try:
-            check_whole_turns(settings.table.window_s, rate, tolerance_s=1 / settings.simulation.output_rate_hz)
-        except ValueError as error:
-            faults.append(str(error))
-    return faults
 
 
 MEASUREMENT = gyro_measurement(

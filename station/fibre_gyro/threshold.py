@@ -302,7 +302,15 @@ _SENSES = {1: "positive", -1: "negative"}
 
 def result(found: ThresholdEvaluation, run: SavedRun, settings: FogSettings) -> Result:
     """Put into numbers and sentences what was found."""
-    axes = [_axis(one) for one in found.axes]
+    axes = [
+        {
+            "axis": one.axis,
+            **document(one, NUMBERS),
+            "points": rows(one.ladder, POINTS),
+            "resolution_points": rows(one.resolution, POINTS) if one.resolution else [],
+        }
+        for one in found.axes
+    ]
     alone = len(axes) == 1
     lines = tuple(line for one in found.axes for line in _lines(one, several=not alone))
     by_axis = (said for one in found.axes for said in _to_watch_of(one, settings))
@@ -329,15 +337,6 @@ def in_words(edge: Edge) -> str:
     if math.isinf(edge.high_95):
         return f"above {edge.low_95:.3g} deg/s" if edge.low_95 else "not known"
     return f"below {edge.high_95:.3g} deg/s"
-
-
-def _axis(one: AxisThreshold) -> dict[str, Any]:
-    return {
-        "axis": one.axis,
-        **document(one, NUMBERS),
-        "points": rows(one.ladder, POINTS),
-        "resolution_points": rows(one.resolution, POINTS) if one.resolution else [],
-    }
 
 
 def _lines(one: AxisThreshold, *, several: bool) -> tuple[str, ...]:

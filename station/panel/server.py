@@ -446,14 +446,10 @@ def _history(panel: OpenPanel, request: Request, form: QueryParams) -> Response:
 # Runs: which there are, remarks on them, two side by side, their numbers over time
 
 
-def _wanted(request: Request) -> RunFilter:
-    asked = request.query_params
-    return RunFilter(verdict=asked.get("verdict", ""), since=asked.get("since", ""))
-
-
 def _found(panel: OpenPanel, request: Request) -> list[Any]:
     text = request.query_params.get("q", "").casefold().split()
-    found = chosen(panel.listed(), _wanted(request))
+    asked = request.query_params
+    found = chosen(panel.listed(), RunFilter(verdict=asked.get("verdict", ""), since=asked.get("since", "")))
 
     def says(entry: Any) -> str:
         told = (entry.unit, entry.command, entry.operator, entry.note, entry.gyro, entry.run, *entry.tags)

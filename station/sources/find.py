@@ -128,7 +128,14 @@ class TekSource(Source):
         file = read_tek_file(path)
         self.kind, self.waveform = file.kind, _with_coupling(file)
         self.channel = self.waveform.preamble.wfid.split(",")[0].upper()
-        self.facts = RunFacts(_facts(file))
+        about, facts = file.about, dict[str, Any]()
+        if about:
+            facts["identity"] = {name: about[name] for name in ("model", "serial", "firmware") if name in about}
+        if "probe" in about:
+            facts["probe"] = float(about["probe"])
+        if file.setup:
+            facts["setup"] = file.setup
+        self.facts = RunFacts(facts)
 
     def __len__(self) -> int:
         return 1
@@ -155,14 +162,3 @@ def _with_coupling(file: File) -> Waveform:
         return wave
     source, _, rest = wave.preamble.wfid.partition(", ")
     return Waveform(wave.codes, replace(wave.preamble, wfid=f"{source}, {coupling} coupling, {rest}"))
-
-
-def _facts(file: File) -> dict[str, Any]:
-    about, facts = file.about, dict[str, Any]()
-    if about:
-        facts["identity"] = {name: about[name] for name in ("model", "serial", "firmware") if name in about}
-    if "probe" in about:
-        facts["probe"] = float(about["probe"])
-    if file.setup:
-        facts["setup"] = file.setup
-    return facts

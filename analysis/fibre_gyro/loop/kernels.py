@@ -55,13 +55,8 @@ def run_pairs(
         if watch is not None:
             watch(loops.signals())
     loops.save(words, phases)
-    _add_up(log, drive.pairs, sums)
-
-
-def _add_up(log: Ints, pairs: Ints, sums: Ints) -> None:
-    """Sums over each segment from steps, errors and falls of every pair."""
     step, error, falls = log
-    starts = np.cumsum(pairs) - pairs
+    starts = np.cumsum(drive.pairs) - drive.pairs
     reset = falls != 0
     rows = {STEPS: step, NORMAL: np.where(reset, 0, error), RESET: np.where(reset, error, 0), RESETS: reset}
     for column, row in rows.items():

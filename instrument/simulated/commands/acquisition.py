@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from instrument.scpi import NO_DATA
 from instrument.simulated.commands.tree import Action, Order, Query, answer, no_argument, one_argument
-from instrument.simulated.front_end.traces import Trace, clipping_event, measure, phase, unit
+from instrument.simulated.front_end.traces import clipping_event, measure, phase, unit
 from instrument.simulated.panel.events import Guess, Refusal
 from instrument.simulated.panel.models import Model
 from instrument.simulated.panel.panel import store
@@ -106,7 +106,9 @@ def _value(branch: str) -> Query:
 
     def query(state: ScopeState) -> list[Leaf]:
         try:
-            value = _measured(state, state.panel.text(f"{key}:TYPE"), _source(state, key))
+            # later models call the source of IMMed SOURCE1
+            source = f"{key}:SOURCE1" if f"{key}:SOURCE1" in state.panel.values else f"{key}:SOURCE"
+            value = _measured(state, state.panel.text(f"{key}:TYPE"), state.panel.text(source))
         except Refusal as refusal:
             state.status.post(refusal.event)
             value = INVALID
@@ -124,37 +126,21 @@ def _measured(state: ScopeState, kind: str, source: str) -> float:
     if trace is None or trace.yunit == "dB":
         raise Refusal(2225)
     if kind == "PHASE":
-        value = _phase(state, trace)
+        second = state.trace(state.panel.text("MEASUREMENT:IMMED:SOURCE2"))
+        if second is None:
+            raise Refusal(2225)
+        value = phase(trace, second)
     elif kind == "CURSORRMS":
-        value = measure("RMS", _between_cursors(state, trace))
+        if state.panel.text("CURSOR:FUNCTION") != "VBARS":
+            raise Refusal(2302)
+        times = sorted(state.panel.number(f"CURSOR:VBARS:POSITION{n}") for n in (1, 2))
+        first, last = (round((time - trace.xzero) / trace.xincr) for time in times)
+        part = slice(max(first, 0), max(last, 0) + 1)
+        value = measure("RMS", replace(trace, codes=trace.codes[part]))
     else:
         value = measure(kind, trace)
     state.status.post(clipping_event(trace))
     return value
-
-
-def _source(state: ScopeState, key: str) -> str:
-    """What a measurement looks at; later models call the one of IMMed SOURCE1."""
-    values = state.panel.values
-    return str(values[f"{key}:SOURCE1" if f"{key}:SOURCE1" in values else f"{key}:SOURCE"])
-
-
-def _phase(state: ScopeState, first: Trace) -> float:
-    """Degrees by which the first source leads the second, -180 to 180."""
-    second = state.trace(state.panel.text("MEASUREMENT:IMMED:SOURCE2"))
-    if second is None:
-        raise Refusal(2225)
-    return phase(first, second)
-
-
-def _between_cursors(state: ScopeState, trace: Trace) -> Trace:
-    """The part of a trace between the vertical bars; event 2302 while they are off."""
-    if state.panel.text("CURSOR:FUNCTION") != "VBARS":
-        raise Refusal(2302)
-    times = sorted(state.panel.number(f"CURSOR:VBARS:POSITION{n}") for n in (1, 2))
-    first, last = (round((time - trace.xzero) / trace.xincr) for time in times)
-    part = slice(max(first, 0), max(last, 0) + 1)
-    return replace(trace, codes=trace.codes[part])
 
 
 def _branch(branch: str) -> Query:

@@ -95,14 +95,10 @@ def _save_waveform(state: ScopeState, arguments: tuple[Argument, ...]) -> None:
     if trace is None:
         raise Refusal(2245)
     probe = state.panel.number(f"{source if source.startswith('CH') else 'CH1'}:PROBE")
-    state.storage.write(arguments[1].text, csv_file(trace, source, probe, _keys(state)))
-
-
-def _keys(state: ScopeState) -> dict[str, str]:
     _, name, serial, rest = (*state.identity.split(",", 3), "", "", "", "")[:4]
     firmware = "FV:" + rest.rpartition("FV:")[2].split(" ")[0]
     later = {"Model Number": name.replace(" ", ""), "Serial Number": serial} if state.model.letter_series else {}
-    return {**later, "Firmware Version": firmware}
+    state.storage.write(arguments[1].text, csv_file(trace, source, probe, {**later, "Firmware Version": firmware}))
 
 
 def _recall_waveform(state: ScopeState, arguments: tuple[Argument, ...]) -> None:

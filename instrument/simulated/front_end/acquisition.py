@@ -539,7 +539,8 @@ class Digitizer:
         start, smooth = record.starts[-1], 0.0
         if tells_its_noise(signal) and (smooth := signal.interval(start, start + count * step)) > step:
             # nothing hides: straight lines, and both noises in one
-            together = _samples_a_line(samples, smooth / step)
+            divisors = (many for many in range(1, samples + 1) if samples % many == 0)
+            together = max(many for many in divisors if many == 1 or many * _LINES <= (smooth / step))
             edges = shown_smooth(signal, slower, start + together * step * np.arange(count // together + 1.0))
             edges = edges.astype(np.float32)
             places = (irregular.reshape(-1, together) + np.arange(together, dtype=np.float32)) / together
@@ -577,9 +578,3 @@ class Digitizer:
 
     def _rng(self, number: int, name: str, sweep: int = 0) -> np.random.Generator:
         return np.random.default_rng([self._seed, number, int(name.removeprefix("CH")), sweep])
-
-
-def _samples_a_line(samples: int, smooth: float) -> int:
-    """Samples of a pair on one straight line: a divisor of all, with several lines in an interval `smooth`."""
-    divisors = (many for many in range(1, samples + 1) if samples % many == 0)
-    return max(many for many in divisors if many == 1 or many * _LINES <= smooth)

@@ -25,7 +25,7 @@ class Stacked:
         """Some of the records."""
         values = vars(self).values()
         return type(self)(
-            *[v.take(part) if isinstance(v, Stacked) else v[part] if isinstance(v, np.ndarray) else v for v in values]
+            *[v.take(part) if isinstance(v, Stacked) else v[part] if np.ndim(v) else v for v in values]
         )
 
     def put(self, part: slice | Indices | Bools, other: Self) -> None:

@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from enum import IntFlag
 from typing import Literal
@@ -742,7 +742,17 @@ def _solutions(data: _Data, starts: Floats | None = None) -> list[_Solution]:
         end = _search(model, start, _EVALUATIONS)
         if end is None:
             continue
-        one = _solution(model, end[0])
+        parameters = end[0]
+        free = np.flatnonzero(model.data.sd > 0)
+        residual = model.residual(parameters[np.newaxis], keep=True)[0]
+        slopes = _jacobian(model, parameters, free)
+        size = np.maximum(np.linalg.norm(slopes, axis=0), 1e-100)
+        eigenvalues, vectors = np.linalg.eigh((slopes / size).T @ (slopes / size))
+        eigenvalues = np.maximum(eigenvalues, 1e-14)
+        covariance = np.zeros((N_PARAMETERS, N_PARAMETERS))
+        covariance[np.ix_(free, free)] = (vectors / eigenvalues) @ vectors.T / np.outer(size, size)
+        volume = -0.5 * float(np.sum(np.log(eigenvalues))) - float(np.sum(np.log(size)))
+        one = _Solution(model, parameters, covariance, float(residual @ residual), volume, residual.size)
         u = 1e-3 + 0.5 * np.sqrt(np.diagonal(one.covariance)[:4])
         if not any(np.all(np.abs(one.apart(other)) < u) for other in found):
             found.append(one)
@@ -802,19 +812,6 @@ def _jacobian(model: _LaserModel, parameters: Floats, free: Indices) -> Floats:
     steps = _steps(model.data)[free]
     both = model.residual(np.concatenate([parameters + steps, parameters[np.newaxis]]))
     return np.asarray(((both[:-1] - both[-1]) / steps[np.arange(free.size), free][:, np.newaxis]).T)
-
-
-def _solution(model: _LaserModel, parameters: Floats) -> _Solution:
-    free = np.flatnonzero(model.data.sd > 0)
-    residual = model.residual(parameters[np.newaxis], keep=True)[0]
-    slopes = _jacobian(model, parameters, free)
-    size = np.maximum(np.linalg.norm(slopes, axis=0), 1e-100)
-    eigenvalues, vectors = np.linalg.eigh((slopes / size).T @ (slopes / size))
-    eigenvalues = np.maximum(eigenvalues, 1e-14)
-    covariance = np.zeros((N_PARAMETERS, N_PARAMETERS))
-    covariance[np.ix_(free, free)] = (vectors / eigenvalues) @ vectors.T / np.outer(size, size)
-    volume = -0.5 * float(np.sum(np.log(eigenvalues))) - float(np.sum(np.log(size)))
-    return _Solution(model, parameters, covariance, float(residual @ residual), volume, residual.size)
 
 
 def _starts(data: _Data) -> list[Floats]:

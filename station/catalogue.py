@@ -250,7 +250,7 @@ def read_entry(file: Path, name: str) -> Entry | None:
         problem = f"{', '.join(unusable)}: not what was once saved"
     facts, document = RunFacts(known), _document(found)
     identity, made = facts.get("identity") or {}, facts.get("provenance") or {}
-    gyro, labels = facts.settings.get("gyro"), facts.labels
+    gyro, labels, tested = facts.settings.get("gyro"), facts.labels, document.get("limits")
     return Entry(
         run=name,
         command=facts.command,
@@ -270,19 +270,16 @@ def read_entry(file: Path, name: str) -> Entry | None:
         ),
         verdict=document.get("verdict"),
         standing=document.get("standing"),
-        limits=_limits_in(document),
+        limits={
+            str(one.get("name")): one["limit"]
+            for one in (tested if isinstance(tested, list) else ())
+            if isinstance(one, dict) and isinstance(one.get("limit"), int | float)
+        },
         instrument_serial=identity.get("serial"),
         software=made.get("gyrolock"),
         problem=problem,
         **said,
     )
-
-
-def _limits_in(document: Mapping[str, Any]) -> dict[str, float]:
-    """Limits by the numbers that they are on, as far as a result says them."""
-    said = document.get("limits")
-    tested = [one for one in said if isinstance(one, dict)] if isinstance(said, list) else []
-    return {str(one.get("name")): one["limit"] for one in tested if isinstance(one.get("limit"), int | float)}
 
 
 def _document(row: tuple[Any, ...] | None) -> dict[str, Any]:

@@ -35,7 +35,6 @@ FEWEST_LINES = 16  # on either side of a spectrum to begin with, in the same way
 NEGLIGIBLE_LINE = 1e-13
 ROUNDS = 30
 LONGEST_STEP = 0.5
-_RIDGE = 1e-9
 CONVERGED = 1e-8  # Newton's method squares its error: the next step would be rounding
 
 DETOUR = (4.0, 2.0, 1.5, 1.2, 1.1, 1.05, 1.02, 1.01, 1.0)
@@ -231,9 +230,9 @@ def periodic_states(
         try:
             step = np.linalg.solve(jacobian, missing[..., np.newaxis])[..., 0]
         except np.linalg.LinAlgError:  # one of them, whose phase stands, must not end the others
-            every = np.arange(jacobian.shape[1])
-            jacobian[:, every, every] += _RIDGE * np.maximum(np.abs(jacobian).max(axis=(1, 2)), 1.0)[:, np.newaxis]
-            step = np.linalg.solve(jacobian, missing[..., np.newaxis])[..., 0]
+            whole = np.isfinite(jacobian).all(axis=(1, 2))
+            step = np.full_like(missing, np.nan)
+            step[whole] = (np.linalg.pinv(jacobian[whole]) @ missing[whole, :, np.newaxis])[..., 0]
         size = np.max(np.abs(step), axis=1)
         step *= np.minimum(1.0, LONGEST_STEP / np.maximum(size, 1e-300))[:, np.newaxis]
         values = values + step[:, : 2 * n].reshape(values.shape)

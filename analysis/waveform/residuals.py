@@ -252,7 +252,9 @@ def examine_residual(
         if lines > (GROSS_MISFIT_OF_A_CURVE if few else GROSS_MISFIT) * signal[row]:
             flags[row] |= Flag.NOT_LOCK_IN_LIKE
     for row in np.flatnonzero((residual_power > LARGE * signal) & ~rounding):
-        if _neighbours_agree(sizes[row]) > SMOOTH:
+        power = np.square(sizes[row], dtype=np.float64)
+        # correlation of neighbouring samples
+        if power @ np.cos(np.linspace(0, np.pi, power.size)) > SMOOTH * max(float(power.sum()), 1e-300):
             flags[row] |= Flag.NOT_LOCK_IN_LIKE
             uneven[row] = True
 
@@ -344,12 +346,6 @@ def _levels_of_few_periods(power: Samples, line: float) -> tuple[float, float]:
         strongest = float(levels[0 if line < VERY_FEW_PERIODS else 1 :].max())
         return strongest, strongest
     return float(levels[1]), float(levels[2])
-
-
-def _neighbours_agree(sizes: Samples) -> float:
-    """Correlation of neighbouring samples, from the lines (N/2 + 1,) of a spectrum."""
-    power = np.square(sizes, dtype=np.float64)
-    return float(power @ np.cos(np.linspace(0, np.pi, power.size)) / max(float(power.sum()), 1e-300))
 
 
 def _low_levels(power: Samples, line: float) -> Floats:

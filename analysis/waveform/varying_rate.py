@@ -322,7 +322,12 @@ def terms_needed(fitted: Fitted, count: float) -> Terms:
         kept = _places(terms, fewer)
         dropped = np.setdiff1d(np.arange(terms.count), kept)
         order = np.concatenate([kept[terms.rate :], kept[: terms.rate], dropped])
-        costs = _cost_of_dropping(fitted.normal[np.ix_(order, order)], parameters[order])
+        normal = fitted.normal[np.ix_(order, order)]
+        scale = 1 / np.sqrt(np.maximum(np.diagonal(normal), 1e-300))
+        scaled = normal * scale * scale[:, np.newaxis]
+        scaled[np.diag_indices_from(scaled)] += RIDGE
+        squares = (np.linalg.cholesky(scaled).T @ (parameters[order] / scale)) ** 2
+        costs = np.concatenate([np.cumsum(squares[::-1])[::-1], [0.0]])
         first = terms.count - dropped.size - terms.rate
         # after the n-th coefficient of the rate everything is dropped
         cost = costs[first + 1 : first + terms.rate + 1]
@@ -363,15 +368,6 @@ def _places(terms: Terms, fewer: Terms) -> Indices:
         parts.append(np.array([terms.count - 1]))
     # the rate first, as in `Trajectory`
     return np.concatenate(parts)
-
-
-def _cost_of_dropping(normal: Floats, parameters: Floats) -> Floats:
-    """What the fit would leave more if all parameters from number i on were zero, (P + 1,)."""
-    scale = 1 / np.sqrt(np.maximum(np.diagonal(normal), 1e-300))
-    scaled = normal * scale * scale[:, np.newaxis]
-    scaled[np.diag_indices_from(scaled)] += RIDGE
-    squares = (np.linalg.cholesky(scaled).T @ (parameters / scale)) ** 2
-    return np.concatenate([np.cumsum(squares[::-1])[::-1], [0.0]])
 
 
 # --------------------

@@ -32,21 +32,16 @@ def draw(traces: Mapping[str, Trace]) -> Pixels:
     pixels[[_TOP, bottom], _LEFT : right + 1] = _FRAME
     pixels[_TOP : bottom + 1, [_LEFT, right]] = _FRAME
     for colour, trace in enumerate(traces.values(), start=3):
-        _draw_trace(pixels, trace, 3 + (colour - 3) % (len(COLOURS) - 3))
+        edges = np.arange(10 * _DIVISION + 1) * len(trace.codes) // (10 * _DIVISION)
+        columns = [trace.codes[start : max(stop, start + 1)] for start, stop in itertools.pairwise(edges)]
+        middle = _TOP + 4 * _DIVISION
+        for x, codes in enumerate(columns, start=_LEFT):
+            valid = codes[codes != NO_DATA]
+            if len(valid):
+                rows = middle - np.array([valid.max(), valid.min()], dtype=int) * _DIVISION // LEVELS_PER_DIVISION
+                high, low = np.clip(rows, _TOP, _TOP + 8 * _DIVISION)
+                pixels[high : low + 1, x] = 3 + (colour - 3) % (len(COLOURS) - 3)
     return pixels
-
-
-def _draw_trace(pixels: Pixels, trace: Trace, colour: int) -> None:
-    """A vertical bar per column from its lowest to its highest code."""
-    edges = np.arange(10 * _DIVISION + 1) * len(trace.codes) // (10 * _DIVISION)
-    columns = [trace.codes[start : max(stop, start + 1)] for start, stop in itertools.pairwise(edges)]
-    middle = _TOP + 4 * _DIVISION
-    for x, codes in enumerate(columns, start=_LEFT):
-        valid = codes[codes != NO_DATA]
-        if len(valid):
-            rows = middle - np.array([valid.max(), valid.min()], dtype=int) * _DIVISION // LEVELS_PER_DIVISION
-            high, low = np.clip(rows, _TOP, _TOP + 8 * _DIVISION)
-            pixels[high : low + 1, x] = colour
 
 
 # --------------------

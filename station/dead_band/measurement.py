@@ -145,10 +145,14 @@ def _read(taken: Sequence[SavedRecord], waveforms: Sequence[Waveform], settings:
     ends = [(one.conditions.get("azimuth_start_deg"), one.conditions.get("azimuth_end_deg")) for one in taken]
     known = [(math.nan, math.nan) if None in pair else pair for pair in ends]
     azimuth = np.asarray(np.mean(np.array(known, dtype=np.float64), axis=-1))
+    # with the horizontal earth rate where the azimuth is known
+    tilt, latitude = settings.table.tilt_deg, settings.site.latitude_deg
+    east = float(earth_rate_on_axis(latitude, tilt, 90.0))
+    horizontal = earth_rate_on_axis(latitude, tilt, azimuth - settings.table.north_azimuth_deg) - east
     return SweepRecords(
         direction=tuple(str(one.conditions["direction"]) for one in taken),
         table_rate=table_rate,
-        rate=_rate_on_axis(table_rate, azimuth - settings.table.north_azimuth_deg, settings),
+        rate=table_rate * math.cos(math.radians(tilt)) + np.where(np.isnan(azimuth), 0.0, horizontal),
         duration=intervals * sizes,
         beat=beat,
         beat_u=beat_u,
@@ -172,13 +176,6 @@ def _swing(volts: Array) -> float:
     smooth = volts[:whole].reshape(-1, _SMOOTHED).mean(axis=-1)
     smooth = smooth[np.isfinite(smooth)]
     return float(np.ptp(smooth)) if smooth.size else 0.0
-
-
-def _rate_on_axis(table_rate: Array, azimuth: Array, settings: DeadBandSettings) -> Array:
-    """Rates on the axis, with the horizontal earth rate where the azimuth is known."""
-    tilt, latitude = settings.table.tilt_deg, settings.site.latitude_deg
-    horizontal = earth_rate_on_axis(latitude, tilt, azimuth) - earth_rate_on_axis(latitude, tilt, 90.0)
-    return np.asarray(table_rate * math.cos(math.radians(tilt)) + np.where(np.isnan(azimuth), 0.0, horizontal))
 
 
 def _dead_band(records: SweepRecords, scale_factor: float, rate_u: float) -> DeadBand:

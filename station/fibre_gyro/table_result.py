@@ -651,6 +651,9 @@ def axis_budget(one: AxisResult, settings: FogSettings) -> dict[str, Any]:
     by_model = one.noise is not None and one.noise_by_model
     source = "noise model" if by_model else "scatter of the words over the turns"
     walk = f"{fit.angle_random_walk:.2g} deg/√h, by the {source}"
+    missing, far = (sum(getattr(window, name) for window in one.windows) for name in ("missing", "outliers"))
+    words = sum(window.samples for window in one.windows)
+    left_out = f"{missing} missing, {far} outliers, of {words}: left out"
     lines = [
         Contribution("noise", "noise within the runs", parts["noise"], True, walk),
         _slow_noise(one, parts["slow noise"]),
@@ -666,7 +669,7 @@ def axis_budget(one: AxisResult, settings: FogSettings) -> dict[str, Any]:
         ),
         _table_rate(settings, parts["table rate"]),
         _drift(one),
-        _left_out(one),
+        Contribution("words", "missing and outlying words", 0.0, True, left_out),
     ]
     if "clock" in parts:
         quantity, note = "clock of the gyro against the computer's", "an angle in each word: K holds its interval"
@@ -720,9 +723,3 @@ def _drift(one: AxisResult) -> Contribution:
     change = ppm(PPM * one.fit.drift_in_scale_factor / one.fit.scale_factor)
     note = f"{with_uncertainty(drift, u)} deg/h per h taken out, which changed K by {change}; the rest is in noise"
     return Contribution("drift", quantity, 0.0, True, note)
-
-
-def _left_out(one: AxisResult) -> Contribution:
-    missing, far = (sum(getattr(window, name) for window in one.windows) for name in ("missing", "outliers"))
-    note = f"{missing} missing, {far} outliers, of {sum(window.samples for window in one.windows)}: left out"
-    return Contribution("words", "missing and outlying words", 0.0, True, note)

@@ -464,7 +464,15 @@ def result(found: WitnessEvaluation, run: SavedRun, settings: FogSettings) -> Re
     value = "V_2π unknown: no reset is in the records"
     if math.isfinite(voltage.value):
         value = f"V_2π = {with_uncertainty(voltage.value, voltage.u, 'V')}"
-    watched = tuple(_to_watch(found, settings))
+    said = [f"{one.sentence}." for one in found.left_out]
+    total = len(found.records)
+    for name in found.flags:
+        count = sum(name in one.found.flags for one in found.records)
+        sentence = describe_witness_flag(name)
+        said.append(sentence if count == total else f"{sentence} ({count} of {total} records)")
+    if any(one.step_time_given for one in found.records):
+        said.append("Single steps hardly stand out: they were looked for at the transit time of the coil.")
+    watched = tuple(said)
     return Result(
         name="result",
         value=value,
@@ -535,19 +543,6 @@ def _sentences(found: WitnessEvaluation, settings: FogSettings, injected: float 
     )
     if not found.half_wave_v:
         said.append("The half-wave voltage (witness.half_wave_v) is not known, so no 2π error is given.")
-    return said
-
-
-def _to_watch(found: WitnessEvaluation, settings: FogSettings) -> list[str]:
-    """Say what to watch, of the records and of the limits."""
-    said = [f"{one.sentence}." for one in found.left_out]
-    total = len(found.records)
-    for name in found.flags:
-        count = sum(name in one.found.flags for one in found.records)
-        sentence = describe_witness_flag(name)
-        said.append(sentence if count == total else f"{sentence} ({count} of {total} records)")
-    if any(one.step_time_given for one in found.records):
-        said.append("Single steps hardly stand out: they were looked for at the transit time of the coil.")
     return said
 
 

@@ -95,7 +95,9 @@ def next_vertical(
         return None if wider == current else wider
     low, high = float(volts.min()), float(volts.max())
     half_span = max((high - low) / 2, 1.5 * current.scale / LEVELS_PER_DIVISION)
-    scale = min(max(_two_digits_up(half_span * LEVELS_PER_DIVISION / fill_levels), low_limit), high_limit)
+    value = half_span * LEVELS_PER_DIVISION / fill_levels
+    step = 10.0 ** (math.floor(math.log10(value)) - 1)
+    scale = min(max(float(f"{math.ceil(value / step - 1e-9) * step:.6g}"), low_limit), high_limit)
     # the position moves in steps of a level
     position = round(-(low + high) / 2 / scale * LEVELS_PER_DIVISION) / LEVELS_PER_DIVISION
     well_filled = (
@@ -338,9 +340,3 @@ def _set_vertical(
 def _level(vertical: VerticalSetting) -> float:
     """Trigger level in V at the centre of the screen."""
     return -vertical.position * vertical.scale
-
-
-def _two_digits_up(value: float) -> float:
-    """Round up to two significant digits."""
-    step = 10.0 ** (math.floor(math.log10(value)) - 1)
-    return float(f"{math.ceil(value / step - 1e-9) * step:.6g}")

@@ -194,19 +194,16 @@ def parse_signal(text: str) -> ShownSignal:
     if word.lower() == GYRO and not numbers:
         return ShownSignal(channel, None)
     if word.lower() in SHAPES and len(numbers) <= 3:
-        return ShownSignal(channel, _periodic(text, word.lower(), numbers))
+        shape = word.lower()
+        given = [_FREQUENCY_HZ, _AMPLITUDE_V, 0.0]
+        try:
+            given[: len(numbers)] = [float(number) for number in numbers]
+        except ValueError:
+            raise UsageError(f"--signal {text}: write it as {shape}:HZ:VOLTS:OFFSET, with numbers") from None
+        if not (all(map(math.isfinite, given)) and given[0] > 0):
+            raise UsageError(f"--signal {text}: the frequency has to be above zero, and all numbers finite")
+        return ShownSignal(channel, Periodic(SHAPES[shape], *given))
     return ShownSignal(channel, _from_file(Path(what)))
-
-
-def _periodic(text: str, shape: str, numbers: list[str]) -> Periodic:
-    given = [_FREQUENCY_HZ, _AMPLITUDE_V, 0.0]
-    try:
-        given[: len(numbers)] = [float(number) for number in numbers]
-    except ValueError:
-        raise UsageError(f"--signal {text}: write it as {shape}:HZ:VOLTS:OFFSET, with numbers") from None
-    if not (all(map(math.isfinite, given)) and given[0] > 0):
-        raise UsageError(f"--signal {text}: the frequency has to be above zero, and all numbers finite")
-    return Periodic(SHAPES[shape], *given)
 
 
 def _from_file(path: Path) -> PlayedBack:

@@ -183,7 +183,10 @@ class _CoherentMean:
 
 
 def _coherent_mean(used: LockInEstimate) -> _CoherentMean:
-    each = _complex_rates(used)
+    each = _ComplexRates(np.empty(len(used), np.complex128), *(np.empty(len(used)) for _ in range(3)))
+    for some in _blocks(used):
+        parts = _complex_rates_of_some(used[some])
+        each.values[some], each.radial[some], each.tangential[some], each.misfit[some] = parts
     found = _mean_of(used, each)
     size = np.abs(each.values)
     if not found.phases_differ or np.any(size**2 < SHOWN_PHASE**2 * each.tangential):
@@ -222,14 +225,6 @@ class _ComplexRates:
     radial: Floats  # variances along and across its own direction
     tangential: Floats
     misfit: Floats  # standard uncertainty in both by what is no noise
-
-
-def _complex_rates(used: LockInEstimate) -> _ComplexRates:
-    found = _ComplexRates(np.empty(len(used), np.complex128), *(np.empty(len(used)) for _ in range(3)))
-    for some in _blocks(used):
-        parts = _complex_rates_of_some(used[some])
-        found.values[some], found.radial[some], found.tangential[some], found.misfit[some] = parts
-    return found
 
 
 def _blocks(used: LockInEstimate) -> Iterator[slice]:

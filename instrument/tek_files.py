@@ -234,7 +234,9 @@ def parse_cells(rows: list[list[str]]) -> tuple[Waveform, dict[str, str]]:
         )
     if abs(times[0] - xzero) > slack:
         raise FileFormatError("the time column does not begin where 'Trigger Point' says; restore the file")
-    y_unit = header.get("Vertical Units", "V")
+    y_unit, source = header.get("Vertical Units", "V"), header.get("Source", "?").capitalize()
+    horizontal = header_number(header, "Horizontal Scale", 0.0)
+    scales = f"{scpi.nr3(scale)} {y_unit}/div, {scpi.nr3(horizontal)} {x_unit}/div"
     preamble = Preamble(
         byt_nr=1,
         bit_nr=8,
@@ -242,7 +244,7 @@ def parse_cells(rows: list[list[str]]) -> tuple[Waveform, dict[str, str]]:
         bn_fmt="RI",
         byt_or="MSB",
         nr_pt=len(values),
-        wfid=_wfid(header, scale, y_unit, x_unit, len(values)),
+        wfid=f"{source}, {scales}, {len(values)} points, from a CSV file",
         pt_fmt=header.get("Pt Fmt", "Y"),
         xincr=interval,
         pt_off=0,
@@ -308,13 +310,6 @@ def _codes(values: NDArray[np.float64], preamble: Preamble) -> NDArray[np.int8]:
             "or comes from another kind of scope"
         )
     return codes.astype(np.int8)
-
-
-def _wfid(header: dict[str, str], scale: float, y_unit: str, x_unit: str, points: int) -> str:
-    source = header.get("Source", "?").capitalize()
-    horizontal = header_number(header, "Horizontal Scale", 0.0)
-    scales = f"{scpi.nr3(scale)} {y_unit}/div, {scpi.nr3(horizontal)} {x_unit}/div"
-    return f"{source}, {scales}, {points} points, from a CSV file"
 
 
 def header_number(header: dict[str, str], key: str, default: float | None = None) -> float:

@@ -673,7 +673,12 @@ def over_gain_times(
     """The same value with what any gain time within its bound may make of it."""
     # The bench may have no gain time to speak of, as `said` takes it, or one anywhere within the bound: both count
     # half, so that u is the root of the mean of both squares. The interval holds that of either.
-    times = _gain_times(found, prior, widen)
+    mean, sd = prior.mean[_GAIN_TIME], prior.sd[_GAIN_TIME]
+    beforehand = mean + sd * _ABOUT_A_MINIMUM if mean > 0 else math.sqrt(3) * sd * _OF_THE_BOUND
+    us = np.sqrt(found.covariance[:, _GAIN_TIME, _GAIN_TIME] * widen)
+    closer = found.parameters[:, _GAIN_TIME, np.newaxis] + us[:, np.newaxis] * _ABOUT_A_MINIMUM
+    times = np.unique(np.concatenate([beforehand, closer.ravel()]))
+    times = times[times >= 0]
     if times.size < 2:
         return said
     held = np.arange(N_PARAMETERS) == _GAIN_TIME
@@ -710,17 +715,6 @@ def over_gain_times(
     low, high = _interval(weights, values, us)
     u = math.sqrt((said.u**2 + square) / 2)
     return RatesAnswer(said.value, u, min(said.low, max(low, 0.0)), max(said.high, high), said.others)
-
-
-def _gain_times(found: RatioFit, prior: Prior, widen: float) -> Floats:
-    """Rising gain times, s: all that is possible beforehand, and closer about every minimum."""
-    mean, sd = prior.mean[_GAIN_TIME], prior.sd[_GAIN_TIME]
-    bound = math.sqrt(3) * sd
-    times = [mean + sd * _ABOUT_A_MINIMUM if mean > 0 else bound * _OF_THE_BOUND]
-    for minimum, variance in zip(found.parameters, found.covariance[:, _GAIN_TIME, _GAIN_TIME], strict=True):
-        times.append(minimum[_GAIN_TIME] + math.sqrt(variance * widen) * _ABOUT_A_MINIMUM)
-    rising = np.unique(np.concatenate(times))
-    return np.asarray(rising[rising >= 0])
 
 
 def _interval(weights: Floats, values: Floats, us: Floats) -> tuple[float, float]:

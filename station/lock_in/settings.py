@@ -6,11 +6,11 @@ Sections that came later have defaults here as well: a run that was saved withou
 import csv
 import itertools
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import Discriminator, Field, Tag
 
@@ -47,7 +47,7 @@ from station.settings import (
 )
 
 ResponseRow = tuple[float, float, float]
-_RESPONSE_COLUMNS = 3
+T = TypeVar("T")
 
 Ratio = Annotated[float, Field(gt=1.05, le=1000)]
 
@@ -251,17 +251,11 @@ def _with_response(path: Path, settings: Settings) -> Settings:
 
 
 def _with_counts(path: Path, settings: Settings) -> Settings:
-    named, counts = settings.dither.counts, list[int]()
+    named = settings.dither.counts
     if not named:
         return settings
     file = path.parent / named if isinstance(named, str) else path
-    for number, line in enumerate(read_text(file).splitlines() if isinstance(named, str) else (), start=1):
-        try:
-            counts += [int(line)] if line.strip() and line.lstrip()[0] != "#" else []
-        except ValueError:
-            if number > 1:  # the first line may be a heading
-                raise SettingsError(f"{file}: line {number}: not a whole number of counts: {line!r}") from None
-    whole = tuple(counts) if isinstance(named, str) else named
+    whole = tuple(_rows(file, int, "a whole number of counts")) if isinstance(named, str) else named
     if len(whole) < FEWEST_GATES:
         raise SettingsError(
             f"{file}: {len(whole)} gates of counts show no random walk: it takes {FEWEST_GATES} at least"
@@ -271,19 +265,20 @@ def _with_counts(path: Path, settings: Settings) -> Settings:
 
 def read_response(path: Path) -> tuple[ResponseRow, ...]:
     """Read a table of the channel's response."""
-    numbered = enumerate(read_text(path).splitlines(), start=1)
-    rows: list[ResponseRow] = []
-    for place, (number, line) in enumerate((n, s) for n, s in numbered if s.strip() and s.lstrip()[0] != "#"):
-        row = _numbers(line)
-        if row is None and place == 0:
-            continue  # the headings
-        if row is None:
-            raise SettingsError(
-                f"{path}: line {number}: not three numbers (frequency_hz, gain, phase_deg): {line!r}"
-            )
-        rows.append(row)
+    rows = tuple(_rows(path, _response_row, "three numbers (frequency_hz, gain, phase_deg)"))
     check_response(rows, str(path))
-    return tuple(rows)
+    return rows
+
+
+def _rows(path: Path, read: Callable[[str], T], what: str) -> Iterator[T]:
+    """Lines that are no remarks, as `read` reads them; the first one may be a heading."""
+    numbered = enumerate(read_text(path).splitlines(), start=1)
+    for place, (number, line) in enumerate((n, s) for n, s in numbered if s.strip() and s.lstrip()[0] != "#"):
+        try:
+            yield read(line)
+        except ValueError:
+            if place:
+                raise SettingsError(f"{path}: line {number}: not {what}: {line!r}") from None
 
 
 def check_response(rows: list[ResponseRow] | tuple[ResponseRow, ...], where: str) -> None:
@@ -296,15 +291,11 @@ def check_response(rows: list[ResponseRow] | tuple[ResponseRow, ...], where: str
         raise SettingsError(f"{where}: frequencies and gains must be positive")
 
 
-def _numbers(line: str) -> ResponseRow | None:
-    fields = next(csv.reader([line], skipinitialspace=True))
-    try:
-        values = [float(field) for field in fields]
-    except ValueError:
-        return None
-    if len(values) != _RESPONSE_COLUMNS or not all(math.isfinite(value) for value in values):
-        return None
-    return values[0], values[1], values[2]
+def _response_row(line: str) -> ResponseRow:
+    frequency, gain, phase = (float(field) for field in next(csv.reader([line], skipinitialspace=True)))
+    if not all(map(math.isfinite, (frequency, gain, phase))):
+        raise ValueError
+    return frequency, gain, phase
 
 
 RING_LASER = SettingsKind(

@@ -91,12 +91,14 @@ def combine(
         azimuth_end=unknown,
         over_lock_in=unknown,
     )
+    none = np.empty(0)
+    no_fast_run = RecordArrays((), slow.n_channels, np.empty(0, dtype=np.int64), *[none] * 5)
     with errors_in_words(), given_back():
         beams = None
         if settings is not None and settings.beams.channels and len(used) == len(whole):
             files = [one.name for one in used]
             beams = beams_of_files(files, work.opened, estimated.beat_frequency, settings)
-        found_run = evaluate(RunArrays(slow, _nothing(slow), beams), knowledge, method, estimated, axis)
+        found_run = evaluate(RunArrays(slow, no_fast_run, beams), knowledge, method, estimated, axis)
     shown = LockInEvaluation(
         **vars(found_run), names=names, waveforms=waveforms, damaged=tuple(str(n + 1) for n in whole.damaged)
     )
@@ -182,13 +184,6 @@ class _Sources:
 
 
 _ADVICE = {"scale factors": "give --scale-factor", "inputs": "choose one with --channel"}
-
-
-def _nothing(like: RecordArrays) -> RecordArrays:
-    """No fast run."""
-    none = np.empty(0)
-    count = np.empty(0, dtype=np.int64)
-    return RecordArrays((), like.n_channels, count, none, none, none, none, none)
 
 
 def _of_channel(part: Gathered, channel: str | None) -> Gathered:

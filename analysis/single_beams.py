@@ -35,7 +35,7 @@ from analysis.harmonics import fit_free_harmonics
 from analysis.lockin_rate import size_interval
 from analysis.ring_laser.two_mode_laser import beat_phase, periodic_states
 from analysis.several_rates import RatesFit, ReceiverKnowledge
-from analysis.several_rates.points import Points, gather, with_noise
+from analysis.several_rates.points import Points, at_mean_times, gather, with_noise
 from analysis.several_rates.ratio_model import SENSES, RatioData, in_standard_uncertainties, nearest_series
 
 # --------------------
@@ -43,6 +43,8 @@ from analysis.several_rates.ratio_model import SENSES, RatioData, in_standard_un
 
 
 HARMONICS = 8  # that are fitted at once: those left out would leak into the fundamental
+_FADED = 0.7  # share of a signal's power that stands in its lines; less where the rate moves much
+_LARGEST = 0.5  # AC over DC of a channel that shows the fringes rather than a beam
 
 
 class BeamsFlag(IntFlag):
@@ -147,10 +149,6 @@ def beam_modulation(
     return BeamModulation(swing, swing_u, over, flags)
 
 
-_FADED = 0.7  # share of a signal's power that stands in its lines; less where the rate moves much
-_LARGEST = 0.5  # AC over DC of a channel that shows the fringes rather than a beam
-
-
 def _problem(line: Complexes, line_u: Floats, level: float, cut: Bools) -> BeamsFlag | None:
     """Why a beam's channel cannot be used; ``None`` if it can."""
     if 2 * cut.sum() > cut.size:
@@ -244,6 +242,7 @@ class _Data:
 
 _FEWEST, _STEEP, _STEEPER = 33, 0.25, 0.5  # points of a turn, and ratios above which it takes twice as many
 _FAILED = 1e6  # in standard uncertainties, where there is no solution
+_DETOUR = (0.3, 0.6, 0.8, 0.9, 1.0)  # of the backscatter, on the way to all of it
 
 
 def _lasers(parameters: Floats, data: _Data) -> tuple[Floats, Floats]:
@@ -262,10 +261,7 @@ def _lasers(parameters: Floats, data: _Data) -> tuple[Floats, Floats]:
 
 def _backscatter(part: Floats) -> Complexes:
     """A complex number (...), rad/s, from its logarithm (..., 2)."""
-    return np.asarray(np.exp(np.clip(part[..., 0], -_FARTHEST, _FARTHEST) + 1j * part[..., 1]))
-
-
-_FARTHEST = 30.0  # that a search may go
+    return np.asarray(np.exp(np.clip(part[..., 0], -30.0, 30.0) + 1j * part[..., 1]))
 
 
 class _LaserModel:
@@ -372,9 +368,6 @@ class _Light:
     of_set: Indices  # (B P,) which of them each set has at each point
 
 
-_DETOUR = (0.3, 0.6, 0.8, 0.9, 1.0)
-
-
 def _by_degrees(lasers: Floats, sagnac: Floats, start: Floats, angular: Floats) -> tuple[Floats, Floats, Bools]:
     """As :func:`periodic_states`; where it finds none, by way of weaker backscatter."""
     values, rates, found = periodic_states(lasers, sagnac, start, angular)
@@ -401,6 +394,11 @@ _HOPELESS = 100.0  # chi-square over the number of values, from which on no lase
 _GOOD = 2.0  # chi-square over the number of values, up to which a search is not begun at a much worse place
 _SETTLED = 1e-9  # a step that changes chi-square by less, relatively, was the last one
 _TRIES, _EVALUATIONS = 10, 60  # steps of a first look, and of the search to the end
+_SMALL = 1e-6  # step of a parameter of which nothing is known
+_SOFTER = (1.0,), (50.0, 7.0)  # times the noise, in a first look
+_ROUNDS = 2  # of the fit to records as they would be at the middle of their points
+_NO_LEVEL_U = 3.0  # of the logarithm of a level that nobody knows
+_FREED_U = 0.03  # of the push that is taken out of the beats, relative
 
 
 @dataclass(frozen=True)
@@ -504,8 +502,12 @@ def fit_beams(
     NoFit
         No record with a beam that can be used, or no laser that fits the records.
     """
-    data = _data(fit, modulation, knowledge or BeamsKnowledge(), receiver or ReceiverKnowledge())
+    known = knowledge or BeamsKnowledge(), receiver or ReceiverKnowledge()
+    data = _data(fit, modulation, *known, np.zeros(N_PARAMETERS))
     found = _solutions(data)
+    for _ in range(_ROUNDS if data.sd[TURN] > 0 else 0):
+        data = _data(fit, modulation, *known, found[0].parameters)
+        found = _solutions(data, [one.parameters for one in found])
     best, points = found[0], data.points.points
     weights = [data.swing_weight, points.ratio] * 2 + [data.rate_weight, points.third_weight]
     degrees = sum(int(np.count_nonzero(one)) for one in weights) - int(np.count_nonzero(np.isinf(data.sd)))
@@ -579,16 +581,20 @@ _BESIDE = {"third_order": THIRD_ORDER, "lag": LAG, "phase_drift": TURN, "lock_in
 _BESIDE |= {"phase_between_senses": BETWEEN}
 
 
-def _data(fit: RatesFit, modulation: BeamModulation, known: BeamsKnowledge, receiver: ReceiverKnowledge) -> _Data:
-    """The records gathered into points, and what is known of everything beforehand."""
+def _data(
+    fit: RatesFit, modulation: BeamModulation, known: BeamsKnowledge, receiver: ReceiverKnowledge, moved: Floats
+) -> _Data:
+    """The records as they would be at the middle of their points by what `moved`, and what is known beforehand."""
     records = fit.each.records
     points = gather(records)
     # drifts of the beat's fit may stand for what it does not know
-    steady = np.where(np.arange(fit.each.parameters.shape[1]) > SENSES, 0.0, fit.each.parameters)
-    scatter, degrees = points.scatter(steady)
+    drifting = fit.each.parameters.copy()
+    drifting[:, SENSES + 1 :] = moved[[TURN, BEND, DRIFT]]
+    points = at_mean_times(points, drifting)
+    scatter, degrees = points.scatter(drifting)
     if degrees > 0 and float(scipy.special.chdtrc(degrees, scatter)) < UNLIKELY:
         points = with_noise(points, (scatter / degrees - 1) * points.covariance)
-    swing, weight, over = _swings(points, modulation)
+    swing, weight, over = _swings(points, modulation, moved)
     if not weight.any():
         raise NoFit("no record with a single beam that could be used")
     some, rate_weight = points.points, np.zeros(len(weight))
@@ -611,12 +617,17 @@ def _data(fit: RatesFit, modulation: BeamModulation, known: BeamsKnowledge, rece
     return _Data(points, swing, weight, over, rate_weight, beat_u, mean, sd, known.ac_corner_hz)
 
 
-_NO_LEVEL_U = 3.0
-
-
-def _swings(points: Points, modulation: BeamModulation) -> tuple[Complexes, Floats, Floats]:
+def _swings(points: Points, modulation: BeamModulation, moved: Floats) -> tuple[Complexes, Floats, Floats]:
     """Mean modulation of the records of each point, the reciprocal of its u, and beat over level, (P, 2)."""
     records, places, count = points.records, points.places, len(points.places)
+    swing = modulation.modulation.copy()
+    for rows, data, _ in records.data():
+        then, mean = data.when, points.points.when[places[data]]
+        turned = moved[TURN] * (then - mean) + 6 * moved[BEND] * (then**2 - mean**2)
+        back = np.exp(-1j * np.sign(data.rate) * turned) / (1 + moved[DRIFT] * (then - mean))
+        still = moved[CROSSTALK] * modulation.beat_over_level[rows]
+        swing[rows] = still + (swing[rows] - still) * back[:, np.newaxis]
+    modulation = replace(modulation, modulation=swing)
     sums = np.zeros((2, 4, count))
     for rows, data, _ in records.data():
         some = modulation.take(rows)
@@ -726,10 +737,7 @@ def _steps(data: _Data) -> Floats:
     return np.diag(np.where(np.isfinite(data.sd) & (data.sd > 0), 1e-4 * data.sd, _SMALL))
 
 
-_SMALL = 1e-6
-
-
-def _solutions(data: _Data, starts: Floats | None = None) -> list[_Solution]:
+def _solutions(data: _Data, starts: Iterable[Floats] | None = None) -> list[_Solution]:
     """The minima that are possible, the best first."""
     model = _LaserModel(data)
     looked = [(start, 0.0) for start in starts] if starts is not None else _looked(model, _starts(data))
@@ -762,9 +770,6 @@ def _solutions(data: _Data, starts: Floats | None = None) -> list[_Solution]:
             "no two-mode laser is near what beat and beams show: is their backscatter too strong for its gain?"
         )
     return [one for one in found if one.chi_square < found[0].chi_square + POSSIBLE]
-
-
-_SOFTER = (1.0,), (50.0, 7.0)
 
 
 def _looked(model: _LaserModel, starts: Iterable[Floats]) -> list[tuple[Floats, float]]:
@@ -861,9 +866,6 @@ def _linear(data: _Data, gain: float, level: float) -> tuple[Floats, float]:
     start[GAIN], start[CROSSTALK], start[DISTORTION] = math.log(gain), values[4:6], values[6]
     start[LEVEL] = level * (data.sd[LEVEL] > 0)
     return start, float(np.sum((system @ values - aims) ** 2))
-
-
-_FREED_U = 0.03  # of the push that is taken out of the beats, relative
 
 
 def _routes(fit: RatesFit, data: _Data, best: _Solution) -> tuple[Route, ...]:

@@ -35,7 +35,7 @@ from analysis.harmonics import fit_free_harmonics
 from analysis.lockin_rate import size_interval
 from analysis.ring_laser.two_mode_laser import beat_phase, periodic_states
 from analysis.several_rates import RatesFit, ReceiverKnowledge
-from analysis.several_rates.points import Points, at_mean_times, gather, with_noise
+from analysis.several_rates.points import Points, gather, with_noise
 from analysis.several_rates.ratio_model import SENSES, RatioData, in_standard_uncertainties, nearest_series
 
 # --------------------
@@ -396,7 +396,6 @@ _SETTLED = 1e-9  # a step that changes chi-square by less, relatively, was the l
 _TRIES, _EVALUATIONS = 10, 60  # steps of a first look, and of the search to the end
 _SMALL = 1e-6  # step of a parameter of which nothing is known
 _SOFTER = (1.0,), (50.0, 7.0)  # times the noise, in a first look
-_ROUNDS = 2  # of the fit to records as they would be at the middle of their points
 _NO_LEVEL_U = 3.0  # of the logarithm of a level that nobody knows
 _FREED_U = 0.03  # of the push that is taken out of the beats, relative
 
@@ -502,12 +501,8 @@ def fit_beams(
     NoFit
         No record with a beam that can be used, or no laser that fits the records.
     """
-    known = knowledge or BeamsKnowledge(), receiver or ReceiverKnowledge()
-    data = _data(fit, modulation, *known, np.zeros(N_PARAMETERS))
+    data = _data(fit, modulation, knowledge or BeamsKnowledge(), receiver or ReceiverKnowledge())
     found = _solutions(data)
-    for _ in range(_ROUNDS if data.sd[TURN] > 0 else 0):
-        data = _data(fit, modulation, *known, found[0].parameters)
-        found = _solutions(data, [one.parameters for one in found])
     best, points = found[0], data.points.points
     weights = [data.swing_weight, points.ratio] * 2 + [data.rate_weight, points.third_weight]
     degrees = sum(int(np.count_nonzero(one)) for one in weights) - int(np.count_nonzero(np.isinf(data.sd)))
@@ -581,20 +576,17 @@ _BESIDE = {"third_order": THIRD_ORDER, "lag": LAG, "phase_drift": TURN, "lock_in
 _BESIDE |= {"phase_between_senses": BETWEEN}
 
 
-def _data(
-    fit: RatesFit, modulation: BeamModulation, known: BeamsKnowledge, receiver: ReceiverKnowledge, moved: Floats
-) -> _Data:
-    """The records as they would be at the middle of their points by what `moved`, and what is known beforehand."""
+def _data(fit: RatesFit, modulation: BeamModulation, known: BeamsKnowledge, receiver: ReceiverKnowledge) -> _Data:
+    """The records gathered into points, and what is known of everything beforehand."""
     records = fit.each.records
     points = gather(records)
     # drifts of the beat's fit may stand for what it does not know
-    drifting = fit.each.parameters.copy()
-    drifting[:, SENSES + 1 :] = moved[[TURN, BEND, DRIFT]]
-    points = at_mean_times(points, drifting)
-    scatter, degrees = points.scatter(drifting)
+    # drifts of the beat's fit may stand for what it does not know
+    steady = np.where(np.arange(fit.each.parameters.shape[1]) > SENSES, 0.0, fit.each.parameters)
+    scatter, degrees = points.scatter(steady)
     if degrees > 0 and float(scipy.special.chdtrc(degrees, scatter)) < UNLIKELY:
         points = with_noise(points, (scatter / degrees - 1) * points.covariance)
-    swing, weight, over = _swings(points, modulation, moved)
+    swing, weight, over = _swings(points, modulation)
     if not weight.any():
         raise NoFit("no record with a single beam that could be used")
     some, rate_weight = points.points, np.zeros(len(weight))
@@ -617,17 +609,9 @@ def _data(
     return _Data(points, swing, weight, over, rate_weight, beat_u, mean, sd, known.ac_corner_hz)
 
 
-def _swings(points: Points, modulation: BeamModulation, moved: Floats) -> tuple[Complexes, Floats, Floats]:
+def _swings(points: Points, modulation: BeamModulation) -> tuple[Complexes, Floats, Floats]:
     """Mean modulation of the records of each point, the reciprocal of its u, and beat over level, (P, 2)."""
     records, places, count = points.records, points.places, len(points.places)
-    swing = modulation.modulation.copy()
-    for rows, data, _ in records.data():
-        then, mean = data.when, points.points.when[places[data]]
-        turned = moved[TURN] * (then - mean) + 6 * moved[BEND] * (then**2 - mean**2)
-        back = np.exp(-1j * np.sign(data.rate) * turned) / (1 + moved[DRIFT] * (then - mean))
-        still = moved[CROSSTALK] * modulation.beat_over_level[rows]
-        swing[rows] = still + (swing[rows] - still) * back[:, np.newaxis]
-    modulation = replace(modulation, modulation=swing)
     sums = np.zeros((2, 4, count))
     for rows, data, _ in records.data():
         some = modulation.take(rows)

@@ -220,7 +220,7 @@ def correct_response(estimate: LockInEstimate, response: ChannelResponse) -> Loc
         )
         covariance = turn @ estimate.complex_ratio_covariance @ turn.swapaxes(-1, -2)
         covariance = covariance + _response_covariance(response, f, rho)
-        # the channel has bent the waveform too, and that part of the misfit is explained
+        # the channel has bent the waveform too, and what no geometric series takes up of it is explained
         lines = _lines(response, f, np.abs(rho))
         powers = _best_series(lines, lines[..., 1])[..., np.newaxis] ** np.arange(HARMONICS)
         head = np.sum(lines * np.conj(powers), axis=-1) / np.sum(np.abs(powers) ** 2, axis=-1)

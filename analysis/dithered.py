@@ -313,15 +313,17 @@ def walk_of_counts(counts: ArrayLike, gate_s: float, *, scale_factor: float) -> 
     Raises
     ------
     ValueError
-        Fewer than 200 gates, or counts that are not whole numbers.
+        Fewer than 200 gates, counts that are no whole numbers, a gate or scale factor that is not positive.
     NoFit
-        A walk of less than 0.01 counts a gate, or counts that jump as no walk does.
+        A walk of less than 0.01 counts a gate.
     """
     from scipy.optimize import minimize  # takes as long to import as all else
 
     seen = np.asarray(counts, dtype=np.float64)
-    if seen.ndim != 1 or seen.size < FEWEST_GATES or not np.array_equal(seen, np.rint(seen)):
+    if seen.ndim != 1 or seen.size < FEWEST_GATES or not np.all(np.isfinite(seen) & (seen == np.rint(seen))):
         raise ValueError(f"counts must be at least {FEWEST_GATES} whole numbers, one for each gate")
+    if not (gate_s > 0 and scale_factor > 0):
+        raise ValueError("gate_s and scale_factor must be positive")
     changes, places = np.unique(seen - np.rint(seen.mean()), return_inverse=True)
     drift = float(changes[places].mean())
 
@@ -341,9 +343,9 @@ def walk_of_counts(counts: ArrayLike, gate_s: float, *, scale_factor: float) -> 
     )
     best = np.asarray(ended.x, dtype=np.float64)
     before, lowest, after = (unlikely(best + _WALK_STEP * move) for move in _ALONG)
-    if best[0] <= math.log(_LEAST_WALK) or not math.isfinite(before - 2 * lowest + after):
-        raise NoFit(f"the counts walk less than {_LEAST_WALK:g} a gate, or jump: longer gates, or no random walk")
     bent = before - 2 * lowest + after
+    if best[0] <= math.log(_LEAST_WALK) or not math.isfinite(bent):
+        raise NoFit(f"the counts walk less than {_LEAST_WALK:g} a gate: take longer gates")
     # chi-square is a parabola in the logarithm
     u = _WALK_STEP * math.sqrt(2 / bent) if bent > 0 else math.inf
     walk = math.exp(best[0]) / (scale_factor * math.sqrt(gate_s))
@@ -358,12 +360,11 @@ def _unlikely_counts(changes: Floats, places: Ints, walk: float, drift: float) -
     inside = (np.arange(cells) + 0.5) / cells
     ways = np.arange(1 - cells, cells) / cells
     density = np.exp(-0.5 * ((ways + changes[:, np.newaxis] - drift) / walk) ** 2)
-    near = np.arange(cells)[:, np.newaxis] - np.arange(cells) + cells - 1
-    moves = density[:, near] / (walk * cells * math.sqrt(2 * math.pi))
+    density /= walk * cells * math.sqrt(2 * math.pi)
     phase, total, means = np.full(cells, 1 / cells), 0.0, np.empty(places.size + 1)
     means[0] = 0.5
     for number, place in enumerate(places.tolist(), start=1):
-        phase = moves[place] @ phase
+        phase = np.convolve(density[place], phase, "valid")
         share = float(phase.sum())
         if not share > 0:
             return math.inf, means[1:]

@@ -581,7 +581,6 @@ def _data(fit: RatesFit, modulation: BeamModulation, known: BeamsKnowledge, rece
     records = fit.each.records
     points = gather(records)
     # drifts of the beat's fit may stand for what it does not know
-    # drifts of the beat's fit may stand for what it does not know
     steady = np.where(np.arange(fit.each.parameters.shape[1]) > SENSES, 0.0, fit.each.parameters)
     scatter, degrees = points.scatter(steady)
     if degrees > 0 and float(scipy.special.chdtrc(degrees, scatter)) < UNLIKELY:

@@ -491,13 +491,13 @@ def _best_start(sums: Floats, n: int, period: float, starts: Floats) -> tuple[fl
 
 def _without_false_edges(volts: Floats, cut: Cut) -> Cut:
     """A slow settling looks like further edges: take out those whose jumps only follow the jumps before them."""
+    number = cut.index(np.arange(len(volts), dtype=np.float64))
+    numbers, counts, heights = piece_means(volts, number, np.ones(len(volts), bool))
+    residual = volts - heights[np.searchsorted(numbers, number)]
+    noise = 1.5 * float(np.median(np.abs(residual))) * np.sqrt(2 / float(np.median(counts)))
+    noise = max(noise, float(np.sqrt(rounding_variance(volts))))
     for parts in (6, 5, 4, 3, 2):
         if len(volts) / (parts * cut.period) >= MINIMUM_STEPS:
-            number = cut.index(np.arange(len(volts), dtype=np.float64))
-            numbers, counts, heights = piece_means(volts, number, np.ones(len(volts), bool))
-            residual = volts - heights[np.searchsorted(numbers, number)]
-            noise = 1.5 * float(np.median(np.abs(residual))) * np.sqrt(2 / float(np.median(counts)))
-            noise = max(noise, float(np.sqrt(rounding_variance(volts))))
             true = _true_edges(numbers[1:], np.diff(heights), noise, parts)
             if true is not None:
                 return Cut(cut.period * parts, cut.start + true * cut.period)

@@ -322,6 +322,7 @@ def terms_needed(fitted: Fitted, count: float) -> Terms:
         kept = _places(terms, fewer)
         dropped = np.setdiff1d(np.arange(terms.count), kept)
         order = np.concatenate([kept[terms.rate :], kept[: terms.rate], dropped])
+        # what the fit would leave more if all parameters from number i on were zero
         normal = fitted.normal[np.ix_(order, order)]
         scale = 1 / np.sqrt(np.maximum(np.diagonal(normal), 1e-300))
         scaled = normal * scale * scale[:, np.newaxis]

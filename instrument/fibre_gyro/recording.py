@@ -475,7 +475,7 @@ def _earliest_line(index: Floats, host: Floats) -> tuple[float, float]:
     off = float(np.median(groups)) + float(np.ptp(np.sort(groups)[: max(2, len(groups) // 2)]))
     span = float(index[-1] - index[0])
     off = max(off, min(_BEAT_S, slope) * min(1.0, _BEATS / index.size))
-    # rectangular: what is hidden is anything up to that
+    # hidden is the widest part of the adapter's period in which no frame comes: all may drift by anything up to it
     places = np.sort(np.mod((slope + edge) * np.arange(min(int(span), _PLACES)), _ADAPTER_S))
     hidden = float(np.max(np.diff(places, append=places[0] + _ADAPTER_S))) / np.sqrt(3.0)
     return slope + edge, float(np.hypot(2 * off, hidden)) / span

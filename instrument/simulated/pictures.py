@@ -31,7 +31,8 @@ def draw(traces: Mapping[str, Trace]) -> Pixels:
     pixels[_TOP : bottom + 1 : _DIVISION, _LEFT : right + 1 : 5] = _GREY
     pixels[[_TOP, bottom], _LEFT : right + 1] = _FRAME
     pixels[_TOP : bottom + 1, [_LEFT, right]] = _FRAME
-    for colour, trace in enumerate(traces.values(), start=3):
+    for number, trace in enumerate(traces.values()):
+        # a vertical bar per column from its lowest to its highest code
         edges = np.arange(10 * _DIVISION + 1) * len(trace.codes) // (10 * _DIVISION)
         columns = [trace.codes[start : max(stop, start + 1)] for start, stop in itertools.pairwise(edges)]
         middle = _TOP + 4 * _DIVISION
@@ -40,7 +41,7 @@ def draw(traces: Mapping[str, Trace]) -> Pixels:
             if len(valid):
                 rows = middle - np.array([valid.max(), valid.min()], dtype=int) * _DIVISION // LEVELS_PER_DIVISION
                 high, low = np.clip(rows, _TOP, _TOP + 8 * _DIVISION)
-                pixels[high : low + 1, x] = 3 + (colour - 3) % (len(COLOURS) - 3)
+                pixels[high : low + 1, x] = 3 + number % (len(COLOURS) - 3)
     return pixels
 
 

@@ -17,15 +17,10 @@ if TYPE_CHECKING:
     from station.plan import PlannedMeasurement
     from station.study import Study
 
-_AT_A_RATE = {  # of which a plan for a gyro that dithers has no use
-    **{"plot": "--plot", "rates": "--rates", "both_senses": "--both-senses", "reference": "--reference"},
-    **{
-        "lock_in_factor": "--factor",
-        "distortion_dbc": "--distortion",
-        "tilt_deg": "--tilt",
-        "tilt_u_deg": "--tilt-u",
-    },
-}
+_AT_A_RATE = {
+    "plot": "--plot", "rates": "--rates", "both_senses": "--both-senses", "reference": "--reference",
+    "lock_in_factor": "--factor", "distortion_dbc": "--distortion", "tilt_deg": "--tilt", "tilt_u_deg": "--tilt-u",
+}  # of which a plan for a gyro that dithers has no use  # fmt: skip
 _positive = click.FloatRange(min=0, min_open=True)
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, astuple, dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -120,7 +120,7 @@ def evaluate(run: SavedRun, settings: Settings, choices: Mapping[str, Any]) -> D
     seen = float(made.dither_rate[0])  # nan where no record holds a whole period
     rate = seen if math.isfinite(seen) else settings.dither.rate_dps
     per_walk = lock_in_of_random_walk(1 / 60, scale_factor=factor, dither_rate=rate)
-    walk, walks = _random_walk(settings, factor)
+    walk, amiss = _random_walk(settings, factor)
     found = DitheredEvaluation(
         lock_in_rate=value,
         lock_in_rate_u=math.hypot(noise_u, share * value),
@@ -142,8 +142,7 @@ def evaluate(run: SavedRun, settings: Settings, choices: Mapping[str, Any]) -> D
     flags = [str(flag.name).lower() for flag in DitherFlag if flag & int(made.flags[0])]
     if 2 * len(spoilt) > len(names):
         flags.append("few_usable")
-    if not walks:
-        flags.append("counts_do_not_walk")
+    flags += [amiss] if amiss else []
     below = found.lock_in_rate - found.by_random_walk
     if below > NORMAL_95 * math.hypot(found.lock_in_rate_u, found.by_random_walk_u):
         flags.append("walk_too_small")
@@ -152,21 +151,27 @@ def evaluate(run: SavedRun, settings: Settings, choices: Mapping[str, Any]) -> D
     return replace(found, flags=tuple(flags))
 
 
+_OF_COUNTS = "walk_not_seen", "counts_do_not_walk"
 _BY_WALK = "by_random_walk", "by_random_walk_u", "by_random_walk_low_95", "by_random_walk_high_95"
 
 
-def _random_walk(settings: Settings, factor: float) -> tuple[tuple[float, ...], bool]:
-    """Random walk of the counts as they show it, or as it is stated, deg/sqrt(h): value, u, 95 %; if it is one."""
+def _random_walk(settings: Settings, factor: float) -> tuple[tuple[float, ...], str]:
+    """Random walk of the counts by themselves or as stated, deg/sqrt(h): value, u, 95 %; what is amiss."""
     dither = settings.dither
     if dither.counts and not isinstance(dither.counts, str):
         try:
             found = walk_of_counts(dither.counts, dither.gate_s, scale_factor=factor)
         except NoFit:
-            return (math.nan,) * 4, False
-        return tuple(60 * one for one in astuple(found)[:-1]) if found.walks else (math.nan,) * 4, found.walks
+            return (math.nan,) * 4, "walk_not_seen"
+        if not found.walks:
+            return (math.nan,) * 4, "counts_do_not_walk"
+        value, u = 60 * found.random_walk, 60 * found.random_walk_u
+        whole = math.hypot(u, common_share(settings) * value)
+        wider = (found.random_walk_high_95 / found.random_walk) ** (whole / u)
+        return (value, whole, value / wider, value * wider), ""
     value = dither.random_walk_deg_per_sqrt_h or math.nan
     u = dither.random_walk_u_deg_per_sqrt_h or _WALK_U * value
-    return (value, u, max(value - NORMAL_95 * u, 0.0), value + NORMAL_95 * u), True
+    return (value, u, max(value - NORMAL_95 * u, 0.0), value + NORMAL_95 * u), ""
 
 
 def common_share(settings: Settings) -> float:
@@ -222,11 +227,14 @@ def result(found: DitheredEvaluation, run: SavedRun, settings: Settings) -> Resu
         "not_significant": "The lock-in rate does not stand out of its uncertainty: take more records.",
         "few_usable": "More than half of the records cannot be used; the reason stands with each.",
         "dither_larger": f"By K the dither is {found.dither_rate:.4g} deg/s, more than stated: one is wrong.",
+        "walk_not_seen": "The counts walk less than a hundredth of a count a gate: take longer gates.",
         "counts_do_not_walk": "The counts hold more than a random walk, such as the swing of the dither, and tell "
         "nothing: take gates of whole dither periods.",
         "walk_too_small": f"The random walk of the counts allows {by_walk}, less than the records show: one is "
         "wrong.",
     }
+    rows += [("by random walk", texts[flag]) for flag in found.flags if flag in _OF_COUNTS]
+    damaged = [one.sentence for one in found.left_out if one.reason == _DAMAGED]
     truth, beside = run.facts.truth, document(found, QUANTITIES[1].quantities)
     return Result(
         name="lock-in rate",
@@ -241,10 +249,9 @@ def result(found: DitheredEvaluation, run: SavedRun, settings: Settings) -> Resu
         lines=(f"Scale factor and time base are included; records: {used}.",),
         summary=[*rows, ("records", used)],
         sentences=_SENTENCES,
-        to_watch=(
-            *(texts[flag] for flag in found.flags),
-            *(one.sentence for one in found.left_out if one.reason == _DAMAGED),
-        ),
+        to_watch=(*(texts[flag] for flag in found.flags), *damaged),
+        # what the counts cannot tell rules nothing
+        doubts=(*(texts[flag] for flag in found.flags if flag not in _OF_COUNTS), *damaged),
         flags=found.flags,
         left_out=found.left_out,
         truth="" if truth is None else f"the truth is {truth[LOCK_IN_RATE.key()]:g} deg/s",

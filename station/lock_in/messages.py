@@ -131,7 +131,8 @@ _BEAMS_FLAGS = {
     BeamsFlag.MISFIT: "Beat and beams do not fit one laser within their noise, and the uncertainty is enlarged: "
     "look for a slow or AC-coupled channel, and state [beams].",
     BeamsFlag.ROUTES_DIFFER: "The routes differ: harmonics alone take the backscatter of both beams to be in "
-    "phase, and the frequencies take the rates to be right. The fit of all together does not.",
+    "phase, the frequencies take the rates to be right, and a dead band is of its own day. The fit of all "
+    "together needs none of that.",
     BeamsFlag.SEVERAL_SOLUTIONS: "Another lock-in rate explains beat and beams as well, and the interval holds "
     "all: take one more rate.",
 }

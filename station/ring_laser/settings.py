@@ -5,7 +5,7 @@ Values that came later have defaults here as well: a run that was saved without 
 
 from typing import Annotated, Literal, Protocol
 
-from pydantic import Field
+from pydantic import Discriminator, Field, Tag
 
 from station.controllers import ControllersSettings
 from station.settings import Finite, NotNegative, Positive, SettingsSection, SiteSettings
@@ -57,7 +57,10 @@ class DitherSettings(SettingsSection):
     records: Annotated[int, Field(ge=1, le=10_000)] = 20
     random_walk_deg_per_sqrt_h: NotNegative = 0.0
     random_walk_u_deg_per_sqrt_h: NotNegative = 0.0
-    counts: str | Annotated[tuple[int, ...], Field(max_length=100_000)] = ()
+    counts: Annotated[
+        Annotated[str, Tag("file")] | Annotated[tuple[int, ...], Field(max_length=100_000), Tag("gates")],
+        Discriminator(lambda value: "file" if isinstance(value, str) else "gates"),
+    ] = ()
     gate_s: Positive = 1.0
 
 

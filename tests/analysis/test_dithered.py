@@ -247,3 +247,5 @@ def test_counts_that_are_no_walk_say_so():
         walk_of_counts(walk + 0.5, 1.0, scale_factor=2000.0)
     with pytest.raises(ValueError, match="200 whole numbers"):
         walk_of_counts(walk[:150], 1.0, scale_factor=2000.0)
+    with pytest.raises(ValueError, match="positive"):
+        walk_of_counts(walk, 0.0, scale_factor=2000.0)

@@ -13,6 +13,7 @@ from analysis.harmonics import fit_harmonics
 from analysis.ring_laser import TwoModeLaser, steady_beat
 from analysis.ring_laser.two_mode_laser import periodic_states
 from analysis.single_beams import BeamModulation, BeamsFlag, BeamsKnowledge, beam_modulation, fit_beams
+from benchmarks import beams
 
 K, WL, SAMPLES, PERIODS = 2000.0, 0.01, 2500, 20
 LEVELS = (1.3, 0.7)
@@ -295,12 +296,29 @@ def test_the_second_harmonic_of_the_same_laser(slowness):
     assert abs(second / first) == pytest.approx(adler / np.hypot(1, slowness), rel=1e-3)
 
 
-def test_a_laser_that_stands_does_not_end_the_others():
+@pytest.mark.parametrize(
+    ("other", "rate", "angular"),
+    [
+        ([0.0, 0.0, 0.0, 0.5, 0.0], 0.0, None),
+        ([100.0, 80.0, 0.5, 0.5, 6000.0], 0.0, 990.0),
+        ([np.inf, 80.0, 0.5, 0.5, 6000.0], 0.1, 990.0),
+        ([1e300, 80.0, 0.5, 0.5, 6000.0], 0.1, 990.0),
+    ],
+)
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+def test_a_laser_that_stands_does_not_end_the_others(other, rate, angular):
     made = laser()
-    lasers = np.array([[0.0, 0.0, 0.0, 0.5, 0.0], made.numbers])
-    sagnac = np.array([0.0, 2 * np.pi * K * 0.1])
-    values, _, found = periodic_states(lasers, sagnac, np.zeros((2, 2, 65)))
-    assert found[1]
+    lasers = np.array([other, made.numbers])
+    sagnac = 2 * np.pi * K * np.array([rate, 0.1])
+    beats = None if angular is None else np.array([angular, 2 * np.pi * K * 0.1])
+    values, _, found = periodic_states(lasers, sagnac, np.zeros((2, 2, 65)), beats)
+    assert found[1] and not found[0]
     assert np.isfinite(values[1]).all()
     middle = np.exp(values[1]).mean()
     assert middle == pytest.approx(1.0, abs=0.05)
+
+
+def test_the_search_ends_in_the_lowest_valley():
+    """Phases, table and receivers at bounds that are drawn: steps of the true noise end 5 u beside the truth."""
+    found = beams.outcome(beams.PLANS["3 10 30, one sense"], 100_005)
+    assert found is not None and abs(found.pull) < 3 and found.covered

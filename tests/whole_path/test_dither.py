@@ -96,9 +96,13 @@ def test_it_is_evaluated_again_and_beside_a_random_walk(taken: Path) -> None:
         (taken / "counts.toml").write_text('[dither]\ncounts = "counts.csv"\n')
         beside = told(taken, f"analyze {said['run']} --config counts.toml")
         assert ("counts_do_not_walk" in beside["flags"]) == (beside["by_random_walk"] is None) == flagged
+        assert beside["standing"] == "stands"
         if not flagged:
             low, high = (beside["by_random_walk"][f"lock_in_rate_{end}_95_dps"] for end in ("low", "high"))
             assert low < said["lock_in_rate_dps"] < high < 1.5 * low
+    (taken / "counts.csv").write_text("3\n" * 300)
+    still = told(taken, f"analyze {said['run']} --config counts.toml")
+    assert (still["flags"], still["by_random_walk"], still["standing"]) == (["walk_not_seen"], None, "stands")
     for text, why in (("1\n2\n3.5\n", "line 3: not a whole number"), ("1\n" * 150, "150 gates")):
         (taken / "counts.csv").write_text(text)
         refused = gyrolock(taken, f"analyze {said['run']} --config counts.toml")

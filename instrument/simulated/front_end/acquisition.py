@@ -540,7 +540,7 @@ class Digitizer:
         if tells_its_noise(signal) and (smooth := signal.interval(start, start + count * step)) > step:
             # nothing hides: straight lines, and both noises in one
             divisors = (many for many in range(1, samples + 1) if samples % many == 0)
-            together = max(many for many in divisors if many == 1 or many * _LINES <= (smooth / step))
+            together = max(many for many in divisors if many == 1 or many * _LINES <= smooth / step)
             edges = shown_smooth(signal, slower, start + together * step * np.arange(count // together + 1.0))
             edges = edges.astype(np.float32)
             places = (irregular.reshape(-1, together) + np.arange(together, dtype=np.float32)) / together

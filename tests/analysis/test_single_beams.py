@@ -319,6 +319,6 @@ def test_a_laser_that_stands_does_not_end_the_others(other, rate, angular):
 
 
 def test_the_search_ends_in_the_lowest_valley():
-    """Phases, table and receivers within bounds: steps of the true noise alone end where chi-square is twice that."""
+    """All within its bounds: with steps of the true noise alone the search ends at twice this chi-square."""
     found = beams.outcome(beams.PLANS["3 10 30, one sense"], 100_010)
     assert found is not None and abs(found.pull) < 3 and not found.flags & BeamsFlag.MISFIT

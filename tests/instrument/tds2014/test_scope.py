@@ -308,7 +308,7 @@ def test_scope_switched_off_in_the_middle_of_a_record(line_server, line_scope, m
         asked = time.monotonic()
         scope.acquire("CH1")
     # At once, wherever in the answer it happens: closing does not wait for a scope that is gone either.
-    assert time.monotonic() - asked < 1.0
+    assert time.monotonic() - asked < 5.0
     assert line_server.resource_name in str(caught.value)
 
 

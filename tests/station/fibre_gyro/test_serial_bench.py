@@ -4,6 +4,7 @@ import tomllib
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import replace
+from itertools import groupby
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -112,7 +113,8 @@ def test_the_response_over_the_link_is_that_of_the_steps(served, fog_settings, r
     bench = served(settings)
     found = result_of("response", settings, bench, response.plan(settings)).document()
     assert found["left_out"] == [] and found["delay_s"] is None
-    assert len([one for one in bench.server.commands if one[0] == "inject"]) == 6
+    # a command that is answered late is sent again
+    assert len([one for one, _ in groupby(bench.server.commands) if one[0] == "inject"]) == 6
     assert abs(abs(found["gain"]) - 1) < 0.01 and found["bandwidth_hz"] > 10
     assert bench.server.commands[-1] == ("inject", 0.0)
 

@@ -4,6 +4,7 @@ import math
 import sqlite3
 from contextlib import closing
 from dataclasses import replace
+from itertools import groupby
 from pathlib import Path
 
 import numpy as np
@@ -171,7 +172,7 @@ def test_the_gyro_on_its_port_is_injected_and_left_as_it_was(fog_settings) -> No
                 witness={"resource": server.resource_name, "channel": "CH2", "records": 2, "half_wave_v": 3.85},
             )
             run = scoped(settings)
-            sent = [(name, step) for name, step in gyro.commands]
+            sent = [one for one, _ in groupby(gyro.commands)]  # what is answered late is sent again
     finally:
         server.close()
     assert sent == [("hold_feedback", 0.0), ("inject", 5001.0), ("inject", 0.0), ("close_loop", 0.0)]

@@ -89,13 +89,16 @@ def test_frame_is_what_the_format_says():
 
 @pytest.mark.skipif(sys.platform == "win32", reason="this system has no pseudo-terminals")
 def test_bytes_on_the_terminal_come_at_the_output_rate():
-    with PtyGyroServer(Steady(), BINARY) as server, serial.Serial(server.port, timeout=2.0) as port:
-        began = time.monotonic()
-        data = port.read(12 * 25)
-        took = time.monotonic() - began
+    with PtyGyroServer(Steady(), BINARY) as server, serial.Serial(server.port, timeout=30.0) as port:
+        began, data, took = time.monotonic(), b"", list[float]()
+        for _ in range(8):
+            data += port.read(12 * 25)
+            took.append(time.monotonic() - began)
     start = struct.unpack(">H", data[1:3])[0] // 20
-    assert data == b"".join(by_hand(20 * (start + n), -1234, 130) for n in range(25))
-    assert 0.4 < took < 0.8  # 25 frames at 50 Hz
+    assert data == b"".join(by_hand(20 * (start + n), -1234, 130) for n in range(200))
+    # 25 frames at 50 Hz; a busy machine may keep us waiting for some of them, not for all
+    pace = np.array(took) / np.arange(1, 9)
+    assert pace.min() > 0.4 and (pace < 0.8).any()
 
 
 def test_commands_are_carried_out_and_answered():
@@ -115,7 +118,7 @@ def test_commands_are_carried_out_and_answered():
             client.sendall(b"\xa5\x00\x04\x00\x00")  # wrong checksum: as if nothing had come
             body = b"\xa6"
             client.sendall(b"\xa5" + body + struct.pack(">H", binascii.crc_hqx(body, 0)))
-            client.settimeout(1.0)
+            client.settimeout(30.0)
             while client.recv(1) != b"\x06":
                 pass
     assert model.told == [("inject", 2.5), ("close_loop", 0.0)]

@@ -5,6 +5,7 @@ import os
 import socket
 import struct
 import sys
+import threading
 import time
 
 import numpy as np
@@ -60,6 +61,13 @@ class Steady:
         if step < 0:
             raise ValueError("never")
         self.told.append((name, step))
+
+
+def until_made(model: Steady, count: int) -> None:
+    deadline = time.monotonic() + 60
+    while model.made < count:
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
 
 
 @pytest.mark.parametrize("gyro", REAL_GYROS, ids=lambda gyro: gyro.name)
@@ -155,12 +163,15 @@ def test_faults_do_what_they_say():
 
 
 def test_model_that_fails_is_not_a_silent_gyro():
+    asked = threading.Event()
+
     class Broken(Steady):
         def samples(self, count):
+            asked.set()
             raise ZeroDivisionError("model")
 
     server = TcpGyroServer(Broken(), BINARY)
-    time.sleep(0.1)
+    assert asked.wait(30.0)
     with pytest.raises(ZeroDivisionError):
         server.close()
     server.close()
@@ -173,17 +184,14 @@ def test_clients_come_and_go():
         for _ in range(3):
             with socket.create_connection((host, int(port)), timeout=2.0) as client:
                 assert b"\x7e" in client.recv(4096)
-        made = model.made
-        time.sleep(0.1)
-        assert model.made > made  # a gyro measures on whether anybody listens or not
+        until_made(model, model.made + 1)  # a gyro measures on whether anybody listens or not
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="this system has no pseudo-terminals")
 def test_nobody_listens_for_long():
     model = Steady()
     with PtyGyroServer(model, BINARY, speed=200.0) as server:
-        time.sleep(0.6)
-        assert model.made > 4000
+        until_made(model, 4000)
         assert server.unsent < 10_000
         descriptor = os.open(server.port, os.O_RDWR | os.O_NOCTTY)
         assert os.read(descriptor, 12)[0] == 0x7E

@@ -230,6 +230,7 @@ class _Data:
     over: Floats  # (P, 2) amplitude of the beat over the level
     rate_weight: Floats  # (P,) reciprocal of the u of each rate, deg/s; 0 where nobody knows it
     beat_u: Floats  # (P,) Hz
+    lasts: Floats  # (P,) standard deviation of the places of its records in the run
     mean: Floats  # (N_PARAMETERS,) known beforehand, and its standard deviation
     sd: Floats
     ac_corner_hz: float  # of the coupling that was taken out of the beams
@@ -249,7 +250,7 @@ def _lasers(parameters: Floats, data: _Data) -> tuple[Floats, Floats]:
     """Lasers of B sets at P points for :func:`periodic_states`, (B, P, 5), and their readout phases (B, P)."""
     some, column = data.points.points, parameters[:, np.newaxis]
     turned = column[..., BETWEEN] * np.sign(some.rate) / 2 + column[..., TURN] * some.when
-    turned = turned + column[..., BEND] * (6 * some.when**2 - 0.5)
+    turned = turned + column[..., BEND] * (6 * (some.when**2 + data.lasts**2) - 0.5)
     then = (1 + column[..., DRIFT] * some.when) * np.exp(1j * turned)
     first, second = (_backscatter(column[..., part]) * then for part in (FIRST, SECOND))
     half = np.angle(second * np.conj(first)) / 2
@@ -302,22 +303,28 @@ class _LaserModel:
         data, angular, column = self.data, self.data.points.points.angular, parameters[:, np.newaxis]
         (numbers, readout), shape = _lasers(parameters, data), (len(parameters), angular.size)
         light = self._light(numbers.reshape(-1, 5), keep=keep and len(parameters) == 1)
-        back = light.of_set
+        # records that turn while they are taken: their mean is that of two, a standard deviation from the middle
+        turning = (column[..., TURN] + 12 * column[..., BEND] * data.points.points.when) * data.lasts
+        two = [self._seen(parameters, readout + side * turning, light) for side in (-1, 1)]
+        ratio, third, swing = ((one + other).reshape(*shape, -1) / 2 for one, other in zip(*two, strict=True))
+        swing = swing / (1 + 1j * angular[:, np.newaxis] * column[..., DELAY])
+        swing = swing + column[..., CROSSTALK] * data.over + column[..., OTHER_BEAM] * swing[..., ::-1]
+        hertz, stated = angular[:, np.newaxis] / (2 * np.pi), data.ac_corner_hz
+        corner = (hertz - 1j * stated) / (hertz - 1j * (stated + column[..., CORNER, np.newaxis]))
+        swing = np.exp(column[..., LEVEL]) * swing * corner
+        sagnac, found = (one[light.of_set].reshape(shape) for one in (light.sagnac, light.found))
+        return ratio[..., 0], third[..., 0], swing, sagnac, np.asarray(found.all(axis=1))
+
+    def _seen(self, parameters: Floats, readout: Floats, light: _Light) -> tuple[Complexes, Floats, Complexes]:
+        """Ratio and third harmonic (B P,), and swing of the beams (B P, 2) in front of their receivers."""
         lines = self._lines(parameters, readout.reshape(-1, 1), light)
         with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
             w, value = nearest_series(lines, lines[:, 1] / lines[:, 0])
             turn = np.abs(value) / value
             left = lines[:, 2] - (1 - np.abs(w) ** 2) * value * np.conj(w) ** 2
             third = (left * turn**3).real / np.abs(value)
-        beams = np.einsum("bik,bk->bi", light.beams, light.kernel[:, 0])[back]
-        swing = (beams * (np.abs(lines[:, 0]) / lines[:, 0])[:, np.newaxis]).reshape(*shape, 2)
-        swing = swing / (1 + 1j * angular[:, np.newaxis] * column[..., DELAY])
-        swing = swing + column[..., CROSSTALK] * data.over + column[..., OTHER_BEAM] * swing[..., ::-1]
-        hertz, stated = angular[:, np.newaxis] / (2 * np.pi), data.ac_corner_hz
-        corner = (hertz - 1j * stated) / (hertz - 1j * (stated + column[..., CORNER, np.newaxis]))
-        swing = np.exp(column[..., LEVEL]) * swing * corner
-        ratio, good = (np.conj(w) * turn).reshape(shape), light.found[back].reshape(shape).all(axis=1)
-        return ratio, third.reshape(shape), swing, light.sagnac[back].reshape(shape), np.asarray(good)
+        beams = np.einsum("bik,bk->bi", light.beams, light.kernel[:, 0])[light.of_set]
+        return np.conj(w) * turn, third, beams * (np.abs(lines[:, 0]) / lines[:, 0])[:, np.newaxis]
 
     def _light(self, numbers: Floats, *, keep: bool) -> _Light:
         """Periodic solutions for the lasers (B P, 5) of all sets: each different one once."""
@@ -346,6 +353,7 @@ class _LaserModel:
         fringes = np.sqrt(light.beams.prod(axis=1))[back] * np.sin(light.psi[back] + readout)
         pedestal = np.repeat(parameters[:, PEDESTAL], some.rate.size)[:, np.newaxis]
         signal = fringes + pedestal * (light.beams.mean(axis=1) - 1)[back]
+        signal /= np.abs(np.einsum("bk,bk->b", signal, light.kernel[back, 0]))[:, np.newaxis]
         x = some.angular * column[..., LAG]
         amplitude = some.amplitude * np.hypot(1.0, x)  # before the pole
         curved = (column[..., DISTORTION] * amplitude).reshape(-1, 1)
@@ -601,11 +609,12 @@ def _data(fit: RatesFit, modulation: BeamModulation, known: BeamsKnowledge, rece
     for part in (LEVEL, CROSSTALK, OTHER_BEAM, DELAY):
         sd[part] *= weight.any(axis=0)
     sd[[SCALE, BIAS]] *= rate_weight.any()
-    beats = np.zeros((2, len(weight)))
+    sums = np.zeros((3, len(weight)))
     for _, block in records.blocks():
-        beats += points.places.sums(block, np.ones(block.rate.shape), block.beat_frequency_u**2)
-    beat_u = np.sqrt(beats[1]) / beats[0]
-    return _Data(points, swing, weight, over, rate_weight, beat_u, mean, sd, known.ac_corner_hz)
+        apart = block.when - some.when[points.places[block]]
+        sums += points.places.sums(block, np.ones(block.rate.shape), block.beat_frequency_u**2, apart**2)
+    beat_u, lasts = np.sqrt(sums[1]) / sums[0], np.sqrt(sums[2] / sums[0])
+    return _Data(points, swing, weight, over, rate_weight, beat_u, lasts, mean, sd, known.ac_corner_hz)
 
 
 def _swings(points: Points, modulation: BeamModulation) -> tuple[Complexes, Floats, Floats]:

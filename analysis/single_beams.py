@@ -17,7 +17,6 @@ spoil them as its unknowns, each with a bound.
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
@@ -230,7 +229,6 @@ class _Data:
     over: Floats  # (P, 2) amplitude of the beat over the level
     rate_weight: Floats  # (P,) reciprocal of the u of each rate, deg/s; 0 where nobody knows it
     beat_u: Floats  # (P,) Hz
-    lasts: Floats  # (P,) standard deviation of the places of its records in the run
     mean: Floats  # (N_PARAMETERS,) known beforehand, and its standard deviation
     sd: Floats
     ac_corner_hz: float  # of the coupling that was taken out of the beams
@@ -250,7 +248,7 @@ def _lasers(parameters: Floats, data: _Data) -> tuple[Floats, Floats]:
     """Lasers of B sets at P points for :func:`periodic_states`, (B, P, 5), and their readout phases (B, P)."""
     some, column = data.points.points, parameters[:, np.newaxis]
     turned = column[..., BETWEEN] * np.sign(some.rate) / 2 + column[..., TURN] * some.when
-    turned = turned + column[..., BEND] * (6 * (some.when**2 + data.lasts**2) - 0.5)
+    turned = turned + column[..., BEND] * (6 * some.when**2 - 0.5)
     then = (1 + column[..., DRIFT] * some.when) * np.exp(1j * turned)
     first, second = (_backscatter(column[..., part]) * then for part in (FIRST, SECOND))
     half = np.angle(second * np.conj(first)) / 2
@@ -303,10 +301,13 @@ class _LaserModel:
         data, angular, column = self.data, self.data.points.points.angular, parameters[:, np.newaxis]
         (numbers, readout), shape = _lasers(parameters, data), (len(parameters), angular.size)
         light = self._light(numbers.reshape(-1, 5), keep=keep and len(parameters) == 1)
-        # records that turn while they are taken: their mean is that of two, a standard deviation from the middle
-        turning = (column[..., TURN] + 12 * column[..., BEND] * data.points.points.when) * data.lasts
-        two = [self._seen(parameters, readout + side * turning, light) for side in (-1, 1)]
-        ratio, third, swing = ((one + other).reshape(*shape, -1) / 2 for one, other in zip(*two, strict=True))
+        # records turn while they are taken: their mean is that of two
+        ratio, third, swing = 0.0, 0.0, 0.0
+        for beside, weight in zip(data.points.beside, data.points.beside_weights, strict=True):
+            turning = column[..., TURN] + 6 * column[..., BEND] * (2 * data.points.points.when + beside)
+            seen = self._seen(parameters, readout - turning * beside, light)
+            one, two, three = (each.reshape(*shape, -1) * weight[:, np.newaxis] for each in seen)
+            ratio, third, swing = ratio + one, third + two, swing + three
         swing = swing / (1 + 1j * angular[:, np.newaxis] * column[..., DELAY])
         swing = swing + column[..., CROSSTALK] * data.over + column[..., OTHER_BEAM] * swing[..., ::-1]
         hertz, stated = angular[:, np.newaxis] / (2 * np.pi), data.ac_corner_hz
@@ -403,7 +404,7 @@ _GOOD = 2.0  # chi-square over the number of values, up to which a search is not
 _SETTLED = 1e-9  # a step that changes chi-square by less, relatively, was the last one
 _TRIES, _EVALUATIONS = 10, 60  # steps of a first look, and of the search to the end
 _SMALL = 1e-6  # step of a parameter of which nothing is known
-_SOFTER = (1.0,), (50.0, 7.0)  # times the noise, in a first look
+_SOFTER = (1000.0, 100.0, 10.0)  # times the noise, in a first look
 _NO_LEVEL_U = 3.0  # of the logarithm of a level that nobody knows
 _FREED_U = 0.03  # of the push that is taken out of the beats, relative
 
@@ -590,7 +591,7 @@ def _data(fit: RatesFit, modulation: BeamModulation, known: BeamsKnowledge, rece
     points = gather(records)
     # drifts of the beat's fit may stand for what it does not know
     steady = np.where(np.arange(fit.each.parameters.shape[1]) > SENSES, 0.0, fit.each.parameters)
-    scatter, degrees = points.scatter(steady)
+    scatter, degrees = points.scatter(steady, turning=True)
     if degrees > 0 and float(scipy.special.chdtrc(degrees, scatter)) < UNLIKELY:
         points = with_noise(points, (scatter / degrees - 1) * points.covariance)
     swing, weight, over = _swings(points, modulation)
@@ -609,36 +610,35 @@ def _data(fit: RatesFit, modulation: BeamModulation, known: BeamsKnowledge, rece
     for part in (LEVEL, CROSSTALK, OTHER_BEAM, DELAY):
         sd[part] *= weight.any(axis=0)
     sd[[SCALE, BIAS]] *= rate_weight.any()
-    sums = np.zeros((3, len(weight)))
+    beats = np.zeros((2, len(weight)))
     for _, block in records.blocks():
-        apart = block.when - some.when[points.places[block]]
-        sums += points.places.sums(block, np.ones(block.rate.shape), block.beat_frequency_u**2, apart**2)
-    beat_u, lasts = np.sqrt(sums[1]) / sums[0], np.sqrt(sums[2] / sums[0])
-    return _Data(points, swing, weight, over, rate_weight, beat_u, lasts, mean, sd, known.ac_corner_hz)
+        beats += points.places.sums(block, np.ones(block.rate.shape), block.beat_frequency_u**2)
+    beat_u = np.sqrt(beats[1]) / beats[0]
+    return _Data(points, swing, weight, over, rate_weight, beat_u, mean, sd, known.ac_corner_hz)
 
 
 def _swings(points: Points, modulation: BeamModulation) -> tuple[Complexes, Floats, Floats]:
     """Mean modulation of the records of each point, the reciprocal of its u, and beat over level, (P, 2)."""
-    records, places, count = points.records, points.places, len(points.places)
-    sums = np.zeros((2, 4, count))
+    records, places = points.records, points.places
+
+    def line_of(numbers: Complexes | Floats, beam: int) -> tuple[Complexes, Complexes, Floats]:
+        weights = np.nan_to_num(modulation.modulation_u[:, beam] ** -2.0)
+        values = np.nan_to_num(numbers[:, beam])
+        return points.lines((data, weights[rows], values[rows]) for rows, data, _ in records.data())
+
+    lines = [line_of(modulation.modulation, beam) for beam in range(2)]
+    mean, slope, total = (np.stack(each) for each in zip(*lines, strict=True))
+    over = np.stack([line_of(modulation.beat_over_level, beam)[0].real for beam in range(2)], axis=1)
+    # records of one setting that scatter by more than their noise, about a line in time: phases may turn
+    spread, freedom = 0.0, -2 * int(np.count_nonzero(total) + np.count_nonzero(slope))
     for rows, data, _ in records.data():
-        some = modulation.take(rows)
-        for beam in range(2):
-            weight = np.nan_to_num(some.modulation_u[:, beam] ** -2.0)
-            value, over = np.nan_to_num(some.modulation[:, beam]), np.nan_to_num(some.beat_over_level[:, beam])
-            columns = (np.asarray(weight * one, np.float64) for one in (value.real, value.imag, over))
-            sums[beam] += places.sums(data, weight, *columns)
-    total = np.maximum(sums[:, 0], 1e-300)
-    mean = (sums[:, 1] + 1j * sums[:, 2]) / total
-    # records of one setting that scatter by more than their noise
-    spread, freedom = 0.0, -2 * int(np.count_nonzero(sums[:, 0]))
-    for rows, data, _ in records.data():
-        some = modulation.take(rows)
-        left = np.abs(some.modulation - mean[:, places[data]].T) / some.modulation_u
+        some, place = modulation.take(rows), places[data]
+        line = mean[:, place] + slope[:, place] * (data.when - points.points.when[place])
+        left = np.abs(some.modulation - line.T) / some.modulation_u
         spread, freedom = spread + float(np.nansum(left**2)), freedom + 2 * int(np.isfinite(left).sum())
     unlikely = freedom > 0 and float(scipy.special.chdtrc(freedom, spread)) < UNLIKELY
-    weight = np.sqrt(sums[:, 0]) / (math.sqrt(spread / freedom) if unlikely else 1.0)
-    return np.asarray(mean.T), weight.T, (sums[:, 3] / total).T
+    weight = np.sqrt(total) / (math.sqrt(spread / freedom) if unlikely else 1.0)
+    return np.asarray(mean.T), weight.T, over
 
 
 def _beforehand(
@@ -650,7 +650,8 @@ def _beforehand(
     mean, sd = np.zeros(N_PARAMETERS), np.full(N_PARAMETERS, np.inf)
     mine = [DISTORTION, LAG, THIRD_ORDER, BETWEEN, TURN, BEND, DRIFT]
     mean[mine], sd[mine] = before.mean[[2, *range(4, 10)]], before.sd[[2, *range(4, 10)]]
-    sd[LAG] = math.sqrt(sd[LAG] * _RECTANGLE) / _RECTANGLE  # that is of the square of a time
+    longest = math.sqrt(sd[LAG] * _RECTANGLE)  # that is of the square of a time
+    mean[LAG], sd[LAG] = (0.0, longest / _RECTANGLE) if receiver.bandwidth.corrected else _between_0_and(longest)
     mean[GAIN], sd[GAIN] = _GAIN, _GAIN_U
     if corner.u_hz > 0:
         mean[GAIN], sd[GAIN] = math.log(2 * math.pi * corner.hz), corner.u_hz / corner.hz
@@ -663,12 +664,17 @@ def _beforehand(
     if largest.all():
         sd[OTHER_BEAM] *= largest / largest[::-1]  # it is a share of volts, and the levels differ
     bandwidth = lowest_bandwidth(slowest) if math.isnan(known.bandwidth_hz) else known.bandwidth_hz
-    sd[DELAY] = 1 / (2 * np.pi * bandwidth) / _RECTANGLE
+    mean[DELAY], sd[DELAY] = _between_0_and(1 / (2 * np.pi * bandwidth))
     sd[CORNER] = CORNER_LIMIT * known.ac_corner_hz / _RECTANGLE
     sd[SCALE], sd[BIAS] = known.scale_u, _BIAS
     if math.isnan(known.scale_u):
         sd[SCALE] = math.hypot(SCALE_FACTOR_LIMIT, TABLE_RATE_LIMIT) / _RECTANGLE
     return mean, sd
+
+
+def _between_0_and(most: float) -> tuple[float, float]:
+    """Mean and standard deviation of what lies somewhere between."""
+    return most / 2, most / 2 / _RECTANGLE
 
 
 Answer = tuple[float, float, float, float]  # value, standard uncertainty, ends of the 95 % interval
@@ -766,11 +772,11 @@ def _solutions(data: _Data, starts: Iterable[Floats] | None = None) -> list[_Sol
 
 def _looked(model: _LaserModel, starts: Iterable[Floats]) -> list[tuple[Floats, float]]:
     """Where some steps from each start lead, and chi-square there, the best first."""
-    # with noise that becomes less what is known beforehand leads past narrow valleys; without, into others
+    # with noise that becomes less what is known beforehand leads past narrow valleys
     ended = list[tuple[Floats, float]]()
-    for start, way in itertools.product(starts, _SOFTER):
+    for start in starts:
         end: tuple[Floats, float] | None = start, 0.0
-        for model.softer in way:
+        for model.softer in _SOFTER:
             end = end and _search(model, end[0], _TRIES)
         model.softer = 1.0
         if end is not None:

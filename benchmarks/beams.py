@@ -122,30 +122,30 @@ class Bench:
         start = solve_ivp(slope, (0, settling), np.ones(2, dtype=np.complex128), **exact).y[:, -1]
         begin = start[0] * np.conj(start[1])
 
-        def turned(_: float, y: Complexes) -> float:
+        def passes(_: float, y: Complexes) -> float:
             return float((y[0] * np.conj(y[1]) * np.conj(begin)).imag)
 
-        turned.direction = math.copysign(1.0, sagnac)  # type: ignore[attr-defined]  # as scipy asks for it
-        going = solve_ivp(slope, (0, _LONGEST * beat), start, events=turned, dense_output=True, **exact)
+        passes.direction = math.copysign(1.0, sagnac)  # type: ignore[attr-defined]  # as scipy asks for it
+        going = solve_ivp(slope, (0, _LONGEST * beat), start, events=passes, dense_output=True, **exact)
         passed = [float(time) for time in going.t_events[0] if time > 0.1 * beat]
         if len(passed) < 2:
             return None
         first, length = passed[0], passed[1] - passed[0]
         fields = going.sol(first + np.arange(POINTS) * length / POINTS)
-        return fields, 1 / length
+        turned = np.unwrap(np.angle(fields[0] * np.conj(fields[1])))
+        return (fields, 1 / length) if np.ptp(turned) > np.pi else None  # rounding of a locked laser turns too
 
     def records(self, rate: float, when: Floats, rng: np.random.Generator) -> tuple[Floats, float] | None:
         """Volts (3, RECORDS, SAMPLES) in eight bits, taken at such places in the run, and the sample interval."""
         every, interval = [], 0.0
-        for part in np.array_split(when, 2):  # which are the points of a fit
-            grown = 1 + self.drift * part.mean()
+        for place in map(float, when):
+            grown = 1 + self.drift * place
             found = replace(self, a1=self.a1 * grown, a2=self.a2 * grown).period(rate)
             if found is None:
                 return None
             interval = interval or PERIODS / found[1] / SAMPLES
-            for place in part:
-                turns = rng.uniform() + found[1] * interval * np.arange(SAMPLES)
-                every.append(self._volts(rate, float(place), *found, turns))
+            turns = rng.uniform() + found[1] * interval * np.arange(SAMPLES)
+            every.append(self._volts(rate, place, *found, turns))
         volts = np.stack(every, axis=1)
         level = np.abs(volts).max(axis=(1, 2), keepdims=True) / FILL
         return np.round(volts / level + NOISE * rng.standard_normal(volts.shape)) * level, interval

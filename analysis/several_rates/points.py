@@ -495,6 +495,10 @@ class Places:
         return np.stack([np.bincount(place, column, len(self)) for column in columns])
 
 
+_LASTS = 1e-4  # least standard deviation of places in the run whose third moment is told
+_AT_ONE_TIME = 1e-9  # of the scatter of places in the run about that of a point: rounding
+
+
 @dataclass(frozen=True)
 class Points:
     """Records gathered into points."""
@@ -503,6 +507,9 @@ class Points:
     places: Places  # Places Of the records among the points.
     points: RatioData  # RatioData One set of p means.
     rate_group: Indices  # (p,) Which of the different |W| each point has.
+    # two places in the run beside that of each point, and their weights: like its records to the third moment
+    beside: Floats  # (2, p)
+    beside_weights: Floats
     uneven: float = 0.0  # rms of what a converter's codes add to a third harmonic, over the beat
 
     @property
@@ -516,19 +523,38 @@ class Points:
         """Different rates, senses and amplitudes among the points."""
         return int(np.unique(self.places.settings).size)
 
-    def scatter(self, parameters: Floats) -> tuple[float, int]:
-        """Chi-square of the records about the means of their points, and its degrees of freedom."""
+    def scatter(self, parameters: Floats, *, turning: bool = False) -> tuple[float, int]:
+        """Chi-square of the records about the mean of each point, or its line in time; degrees of freedom."""
         # What the model says of each record's own rate and amplitude is taken out first.
         mean, mean_third = self._left_of_means(parameters)
         chi_square, thirds_known = 0.0, np.zeros(len(self.places))
+        slope = np.zeros(mean.shape)
+        if turning:
+            every = ((data, _weights(data), _left(parameters, data)[0]) for _, data, _ in self.records.data())
+            mean, slope, _ = self.lines(every)
         for _, data, _ in self.records.data():
             left, rest = _left(parameters, data)
             place = self.places[data]
+            left -= slope[place] * (data.when - self.points.when[place])
             of_ratio, of_third = in_standard_uncertainties(left - mean[place], rest - mean_third[place], data)
             chi_square += float(np.sum(of_ratio**2) + np.sum(of_third**2))
             thirds_known += self.places.sums(data, np.sign(data.third_weight))[0]
-        free = 2 * (int(self.records.used.sum()) - len(self.places))
+        free = 2 * (int(self.records.used.sum()) - len(self.places) - int(np.count_nonzero(slope)))
         return chi_square, free + int(thirds_known.sum()) - int(np.count_nonzero(thirds_known))
+
+    def lines(self, every: Iterable[tuple[RatioData, Floats, Complexes]]) -> tuple[Complexes, Complexes, Floats]:
+        """Of complex values of records with their weights: value at the time of each point, slope, weight, (p,)."""
+        sums = np.zeros((7, len(self.places)))
+        for data, weight, value in every:
+            apart = data.when - self.points.when[self.places[data]]
+            columns = (weight * one for one in (value.real, value.imag, apart * value.real, apart * value.imag))
+            sums += self.places.sums(data, weight, weight * apart, weight * apart**2, *columns)
+        total, first, second, value, along = *sums[:3], sums[3] + 1j * sums[4], sums[5] + 1j * sums[6]
+        determinant = total * second - first**2
+        lasts = determinant > _AT_ONE_TIME * total * second
+        known = np.where(lasts, determinant, 1.0)
+        slope = np.where(lasts, (total * along - first * value) / known, 0.0)
+        return (value - first * slope) / np.maximum(total, 1e-300), slope, total
 
     def _left_of_means(self, parameters: Floats) -> tuple[Complexes, Floats]:
         """Mean of what the model leaves of the records of each point: of ratios and of third harmonics, (p,)."""
@@ -545,17 +571,17 @@ class Points:
 def gather(records: UsedRecords) -> Points:
     """Mean of the records of each rate, sense, amplitude and visit, and its covariance."""
     places = Places.of(records)
-    sums, spread = np.zeros((10, len(places))), np.zeros((4, len(places)))
+    sums, spread = np.zeros((12, len(places))), np.zeros((4, len(places)))
     for _, data, _ in records.data():
         weights, precision = _weights(data), data.third_weight**2
         means = (
             *(data.rate, data.beat_rate, data.angular, data.ratio.real, data.ratio.imag),
-            *(data.amplitude, data.when),
+            *(data.amplitude, data.when, data.when**2, data.when**3),
         )
         weighted = (weights * values for values in means)
         sums += places.sums(data, weights, *weighted, precision, precision * data.third)
-    total, precision, third = sums[[0, 8, 9]]
-    rate, beat_rate, angular, real, imaginary, amplitude, when = sums[1:8] / total
+    total, precision, third = sums[[0, 10, 11]]
+    rate, beat_rate, angular, real, imaginary, amplitude, when, square, cube = sums[1:10] / total
     for _, data, covariance in records.data():
         share = (_weights(data) / total[places[data]]) ** 2
         spread += places.sums(data, *(share * values for values in covariance.reshape(-1, 4).T))
@@ -571,7 +597,11 @@ def gather(records: UsedRecords) -> Points:
         third_weight=np.sqrt(precision),
         reference=records.reference,
     )
-    return Points(records, places, points, groups_of(np.abs(rate), first_of_groups([np.abs(rate)], SAME_RATE)))
+    group = groups_of(np.abs(rate), first_of_groups([np.abs(rate)], SAME_RATE))
+    lasts = np.sqrt(np.maximum(square - when**2, 0.0))
+    skew = np.where(lasts > _LASTS, (cube - 3 * when * square + 2 * when**3) / np.maximum(lasts, _LASTS) ** 3, 0.0) / 2
+    ends = skew + np.hypot(skew, 1.0) * np.array([[-1.0], [1.0]])
+    return Points(records, places, points, group, lasts * ends, 1 / (1 + ends**2))
 
 
 def at_mean_times(points: Points, parameters: Floats) -> Points:

@@ -302,19 +302,19 @@ class _LaserModel:
         (numbers, readout), shape = _lasers(parameters, data), (len(parameters), angular.size)
         light = self._light(numbers.reshape(-1, 5), keep=keep and len(parameters) == 1)
         # records turn while they are taken: their mean is that of two
-        ratio, third, swing = 0.0, 0.0, 0.0
+        parts = []
         for beside, weight in zip(data.points.beside, data.points.beside_weights, strict=True):
             turning = column[..., TURN] + 6 * column[..., BEND] * (2 * data.points.points.when + beside)
             seen = self._seen(parameters, readout - turning * beside, light)
-            one, two, three = (each.reshape(*shape, -1) * weight[:, np.newaxis] for each in seen)
-            ratio, third, swing = ratio + one, third + two, swing + three
+            parts.append([each.reshape(*shape, -1) * weight[:, np.newaxis] for each in seen])
+        ratio, third, swing = (one + other for one, other in zip(*parts, strict=True))
         swing = swing / (1 + 1j * angular[:, np.newaxis] * column[..., DELAY])
         swing = swing + column[..., CROSSTALK] * data.over + column[..., OTHER_BEAM] * swing[..., ::-1]
         hertz, stated = angular[:, np.newaxis] / (2 * np.pi), data.ac_corner_hz
         corner = (hertz - 1j * stated) / (hertz - 1j * (stated + column[..., CORNER, np.newaxis]))
         swing = np.exp(column[..., LEVEL]) * swing * corner
-        sagnac, found = (one[light.of_set].reshape(shape) for one in (light.sagnac, light.found))
-        return ratio[..., 0], third[..., 0], swing, sagnac, np.asarray(found.all(axis=1))
+        found = np.asarray(light.found[light.of_set].reshape(shape).all(axis=1))
+        return ratio[..., 0], third[..., 0].real, swing, light.sagnac[light.of_set].reshape(shape), found
 
     def _seen(self, parameters: Floats, readout: Floats, light: _Light) -> tuple[Complexes, Floats, Complexes]:
         """Ratio and third harmonic (B P,), and swing of the beams (B P, 2) in front of their receivers."""
@@ -623,7 +623,7 @@ def _swings(points: Points, modulation: BeamModulation) -> tuple[Complexes, Floa
 
     def line_of(numbers: Complexes | Floats, beam: int) -> tuple[Complexes, Complexes, Floats]:
         weights = np.nan_to_num(modulation.modulation_u[:, beam] ** -2.0)
-        values = np.nan_to_num(numbers[:, beam])
+        values = np.nan_to_num(numbers[:, beam].astype(np.complex128))
         return points.lines((data, weights[rows], values[rows]) for rows, data, _ in records.data())
 
     lines = [line_of(modulation.modulation, beam) for beam in range(2)]
@@ -881,17 +881,24 @@ def _routes(fit: RatesFit, data: _Data, best: _Solution) -> tuple[Route, ...]:
         # freed of what the difference of the beams does, by the laser of all
         some, push = data.points.points, best.push()
         frequency = some.angular / (2 * np.pi)
+        freed_u = np.hypot(data.beat_u, _FREED_U * np.abs(push) * frequency)
+        both = np.unique(np.sign(some.rate)).size == 2
         try:
-            by_rates = fit_frequencies(
-                some.rate,
-                frequency / (1 + push),
-                np.hypot(data.beat_u, _FREED_U * np.abs(push) * frequency),
-                input_rate_u=1 / data.rate_weight,
-                bias=np.unique(np.sign(some.rate)).size == 2,
+            # one sense tells no constant of the rates from the lock-in rate
+            by_rates = [
+                fit_frequencies(
+                    some.rate + a, frequency / (1 + push), freed_u, input_rate_u=1 / data.rate_weight, bias=both
+                )
+                for a in ([0.0] if both else [0.0, -_RECTANGLE * _BIAS, _RECTANGLE * _BIAS])
+            ]
+            value, *others = (each.lock_in_rate for each in by_rates)
+            ends = [(each.lock_in_rate_low_95, each.lock_in_rate_high_95) for each in by_rates]
+            low, high = min(end[0] for end in ends), max(end[1] for end in ends)
+            u = math.hypot(
+                by_rates[0].lock_in_rate_u, *((other - value) / _RECTANGLE / math.sqrt(2) for other in others)
             )
-            ends = by_rates.lock_in_rate_low_95, by_rates.lock_in_rate_high_95
-            if math.isfinite(by_rates.lock_in_rate):
-                routes.append(Route("frequencies", by_rates.lock_in_rate, by_rates.lock_in_rate_u, *ends))
+            if math.isfinite(u):
+                routes.append(Route("frequencies", value, u, low, high))
         except NoFit:
             pass
     return tuple(routes)

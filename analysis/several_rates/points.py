@@ -528,7 +528,7 @@ class Points:
         # What the model says of each record's own rate and amplitude is taken out first.
         mean, mean_third = self._left_of_means(parameters)
         chi_square, thirds_known = 0.0, np.zeros(len(self.places))
-        slope = np.zeros(mean.shape)
+        slope = np.zeros_like(mean)
         if turning:
             every = ((data, _weights(data), _left(parameters, data)[0]) for _, data, _ in self.records.data())
             mean, slope, _ = self.lines(every)
@@ -543,7 +543,7 @@ class Points:
         return chi_square, free + int(thirds_known.sum()) - int(np.count_nonzero(thirds_known))
 
     def lines(self, every: Iterable[tuple[RatioData, Floats, Complexes]]) -> tuple[Complexes, Complexes, Floats]:
-        """Of complex values of records with their weights: value at the time of each point, slope, weight, (p,)."""
+        """Of complex values of records, by their weights: value at the time of each point, slope, weight, (p,)."""
         sums = np.zeros((7, len(self.places)))
         for data, weight, value in every:
             apart = data.when - self.points.when[self.places[data]]
@@ -599,7 +599,10 @@ def gather(records: UsedRecords) -> Points:
     )
     group = groups_of(np.abs(rate), first_of_groups([np.abs(rate)], SAME_RATE))
     lasts = np.sqrt(np.maximum(square - when**2, 0.0))
-    skew = np.where(lasts > _LASTS, (cube - 3 * when * square + 2 * when**3) / np.maximum(lasts, _LASTS) ** 3, 0.0) / 2
+    skew = (
+        np.where(lasts > _LASTS, (cube - 3 * when * square + 2 * when**3) / np.maximum(lasts, _LASTS) ** 3, 0.0)
+        / 2
+    )
     ends = skew + np.hypot(skew, 1.0) * np.array([[-1.0], [1.0]])
     return Points(records, places, points, group, lasts * ends, 1 / (1 + ends**2))
 

@@ -209,7 +209,9 @@ def correct_response(estimate: LockInEstimate, response: ChannelResponse) -> Loc
     """
     f = np.where(estimate.usable, estimate.beat_frequency, np.nan)
     with np.errstate(invalid="ignore"):
-        factor = _factor_at_measured(response, f, np.abs(estimate.complex_ratio))
+        factor = ratio_factor(response, f)
+        for _ in range(8):  # the measured ratio is known instead of the true one
+            factor = ratio_factor(response, f, np.minimum(np.abs(estimate.complex_ratio) / np.abs(factor), 0.95))
         rho = estimate.complex_ratio / factor
         turn = np.stack(
             [
@@ -231,14 +233,6 @@ def correct_response(estimate: LockInEstimate, response: ChannelResponse) -> Loc
         corrected,
         noise_model=estimate.noise_model + "; corrected for the channel's response, whose uncertainty is in it",
     )
-
-
-def _factor_at_measured(response: ChannelResponse, f: Floats, measured: Floats) -> Complexes:
-    """The factor where the measured ratio is known instead of the true one, by repetition."""
-    factor = ratio_factor(response, f)
-    for _ in range(8):
-        factor = ratio_factor(response, f, np.minimum(measured / np.abs(factor), 0.95))
-    return factor
 
 
 def _by_corner(pole: ChannelResponse, moved: ChannelResponse, f: Floats) -> Complexes:

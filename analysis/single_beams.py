@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from enum import IntFlag
 from typing import Literal
@@ -651,7 +652,9 @@ def _beforehand(
     mine = [DISTORTION, LAG, THIRD_ORDER, BETWEEN, TURN, BEND, DRIFT]
     mean[mine], sd[mine] = before.mean[[2, *range(4, 10)]], before.sd[[2, *range(4, 10)]]
     longest = math.sqrt(sd[LAG] * _RECTANGLE)  # that is of the square of a time
-    mean[LAG], sd[LAG] = (0.0, longest / _RECTANGLE) if receiver.bandwidth.corrected else _between_0_and(longest)
+    mean[LAG], sd[LAG] = longest / 2, longest / 2 / _RECTANGLE
+    if receiver.bandwidth.corrected:
+        mean[LAG], sd[LAG] = 0.0, longest / _RECTANGLE  # of what is left
     mean[GAIN], sd[GAIN] = _GAIN, _GAIN_U
     if corner.u_hz > 0:
         mean[GAIN], sd[GAIN] = math.log(2 * math.pi * corner.hz), corner.u_hz / corner.hz
@@ -664,17 +667,13 @@ def _beforehand(
     if largest.all():
         sd[OTHER_BEAM] *= largest / largest[::-1]  # it is a share of volts, and the levels differ
     bandwidth = lowest_bandwidth(slowest) if math.isnan(known.bandwidth_hz) else known.bandwidth_hz
-    mean[DELAY], sd[DELAY] = _between_0_and(1 / (2 * np.pi * bandwidth))
+    mean[DELAY] = 1 / (2 * np.pi * bandwidth) / 2
+    sd[DELAY] = mean[DELAY] / _RECTANGLE
     sd[CORNER] = CORNER_LIMIT * known.ac_corner_hz / _RECTANGLE
     sd[SCALE], sd[BIAS] = known.scale_u, _BIAS
     if math.isnan(known.scale_u):
         sd[SCALE] = math.hypot(SCALE_FACTOR_LIMIT, TABLE_RATE_LIMIT) / _RECTANGLE
     return mean, sd
-
-
-def _between_0_and(most: float) -> tuple[float, float]:
-    """Mean and standard deviation of what lies somewhere between."""
-    return most / 2, most / 2 / _RECTANGLE
 
 
 Answer = tuple[float, float, float, float]  # value, standard uncertainty, ends of the 95 % interval
@@ -872,33 +871,25 @@ def _routes(fit: RatesFit, data: _Data, best: _Solution) -> tuple[Route, ...]:
     own = fit.lock_in_rate, fit.lock_in_rate_u, fit.lock_in_rate_low_95, fit.lock_in_rate_high_95
     routes = [Route("harmonics", *own)]
     by_beams = replace(data, harmonics=False, rate_weight=np.zeros_like(data.rate_weight))
-    try:
+    with suppress(NoFit):
         one = _solutions(by_beams, best.parameters[np.newaxis])[0]
         routes.append(Route("beams", *(each / scale for each in one.coupling(1.0)[0])))
-    except NoFit:
-        pass
-    if data.rate_weight.any():
-        # freed of what the difference of the beams does, by the laser of all
-        some, push = data.points.points, best.push()
-        frequency = some.angular / (2 * np.pi)
-        freed_u = np.hypot(data.beat_u, _FREED_U * np.abs(push) * frequency)
-        both = np.unique(np.sign(some.rate)).size == 2
-        try:
-            # one sense tells no constant of the rates from the lock-in rate
-            by_rates = [
-                fit_frequencies(
-                    some.rate + a, frequency / (1 + push), freed_u, input_rate_u=1 / data.rate_weight, bias=both
-                )
-                for a in ([0.0] if both else [0.0, -_RECTANGLE * _BIAS, _RECTANGLE * _BIAS])
-            ]
-            value, *others = (each.lock_in_rate for each in by_rates)
-            ends = [(each.lock_in_rate_low_95, each.lock_in_rate_high_95) for each in by_rates]
-            low, high = min(end[0] for end in ends), max(end[1] for end in ends)
-            u = math.hypot(
-                by_rates[0].lock_in_rate_u, *((other - value) / _RECTANGLE / math.sqrt(2) for other in others)
-            )
-            if math.isfinite(u):
-                routes.append(Route("frequencies", value, u, low, high))
-        except NoFit:
-            pass
+    if not data.rate_weight.any():
+        return tuple(routes)
+    # freed of what the difference of the beams does, by the laser of all
+    some, push = data.points.points, best.push()
+    frequency, rate_u = some.angular / (2 * np.pi), 1 / data.rate_weight
+    freed, freed_u = frequency / (1 + push), np.hypot(data.beat_u, _FREED_U * np.abs(push) * frequency)
+    # one sense tells no constant of the rates from the lock-in rate
+    both, most = np.unique(np.sign(some.rate)).size == 2, _RECTANGLE * _BIAS
+    with suppress(NoFit):
+        tried = [
+            fit_frequencies(some.rate + constant, freed, freed_u, input_rate_u=rate_u, bias=both)
+            for constant in ([0.0] if both else [0.0, -most, most])
+        ]
+        value = tried[0].lock_in_rate
+        u = math.hypot(tried[0].lock_in_rate_u, *((one.lock_in_rate - value) / math.sqrt(6) for one in tried))
+        low, high = min(one.lock_in_rate_low_95 for one in tried), max(one.lock_in_rate_high_95 for one in tried)
+        if math.isfinite(u):
+            routes.append(Route("frequencies", value, u, low, high))
     return tuple(routes)

@@ -454,6 +454,9 @@ def find_causes(points: tuple[tuple[float, float], ...] = POINTS, windows: tuple
     gyros = Gyros.of(rate[:, np.newaxis], lock_in[:, np.newaxis], phases)
     ratio = harmonic_ratio(lock_in / rate)
     bins = beat_frequency(SCALE_FACTOR, rate, lock_in) * DURATION_S
+    codes = np.rint(LEVELS * records(gyros, OSCILLOSCOPE_SAMPLES))
+    found = estimate_lock_in(codes, 1 / SAMPLING_HZ, scale_factor=SCALE_FACTOR, input_rate=gyros.input_rate)
+    of_codes = found.lock_in_rate / gyros.lock_in_rate - 1
     together = errors_by_peaks(gyros, windows)
     return Causes(
         points=points,
@@ -464,7 +467,7 @@ def find_causes(points: tuple[tuple[float, float], ...] = POINTS, windows: tuple
         leakage={name: _leakage(gyros, name) for name in windows},
         euler=_by_solver(gyros, 1),
         runge_kutta=_by_solver(gyros, 4),
-        rounding=_rounding(gyros),
+        rounding=np.sqrt(np.nanmean(of_codes**2, axis=-1)),
         ours=largest_over_phases(errors_by_fit(gyros)),
     )
 
@@ -538,10 +541,3 @@ def _by_solver(gyros: Gyros, order: int) -> Floats:
         phase = phase + step / 6 * (first + 2 * second + 2 * third + slope(phase + step * third))
     found = estimate_lock_in(volts, step, scale_factor=SCALE_FACTOR, input_rate=gyros.input_rate)
     return largest_over_phases(found.lock_in_rate / gyros.lock_in_rate - 1)
-
-
-def _rounding(gyros: Gyros) -> Floats:
-    codes = np.rint(LEVELS * records(gyros, OSCILLOSCOPE_SAMPLES))
-    found = estimate_lock_in(codes, 1 / SAMPLING_HZ, scale_factor=SCALE_FACTOR, input_rate=gyros.input_rate)
-    errors = found.lock_in_rate / gyros.lock_in_rate - 1
-    return np.asarray(np.sqrt(np.nanmean(errors**2, axis=-1)))

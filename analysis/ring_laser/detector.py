@@ -449,7 +449,12 @@ def mean_beat_on_table(
         return None
     middle = starts[len(starts) // 2]
     few = chebyshev.chebpts1(_FEW + math.ceil(_FEW * gyro.ripple_hz * span) if gyro.ripple_dps else _FEW)
-    rates, slow = _differences(gyro, segments, starts, middle, (few + 1) * span / 2)
+    behind = (few + 1) * span / 2
+    rates, phases = beat_phase_on_table(gyro, segments, (starts[:, np.newaxis] + behind).ravel())
+    rates, slow = rates.reshape(len(starts), -1), phases.reshape(len(starts), -1)
+    slow = (
+        slow - beat_phase_on_table(gyro, segments, middle + behind)[1]
+    )  # phases over those of the middle stretch
     nodes = _FEWEST_NODES + math.ceil(_NODES_A_TURN * float(np.ptp(slow, axis=1).max()) / (2 * math.pi))
     if nodes * len(starts) > _MOST_PHASES:
         return None
@@ -473,26 +478,12 @@ def mean_beat_on_table(
     )
     turning = np.exp(1j * sense * beat_phase_on_table(gyro, segments, middle + times)[1])
     growing = begin[1:order, np.newaxis] + (end - begin)[1:order, np.newaxis] * (times / span)
-    volts: Floats = begin[0].real + _sum_of_powers(growing * shares, turning)
+    factors, total = growing * shares, np.zeros_like(turning)
+    for factor in factors[::-1]:  # the sum of factors[n - 1] turning^n (Horner)
+        total += factor
+        total *= turning
+    volts: Floats = begin[0].real + total.real
     if not detector.pump_ripple:
         return volts
     swing = detector.mean_swing(starts, times)
     return np.asarray(volts * swing + (detector.offset * (swing - 1) if corner_hz else 0.0))
-
-
-def _differences(
-    gyro: Gyro, motion: tuple[RateMotion, ...], starts: Floats, middle: float, places: Floats
-) -> tuple[Floats, Floats]:
-    """Rates on the axis, and phases over those of the stretch in the middle, (k, places)."""
-    rates, phases = beat_phase_on_table(gyro, motion, (starts[:, np.newaxis] + places).ravel())
-    reference = beat_phase_on_table(gyro, motion, middle + places)[1]
-    return rates.reshape(len(starts), -1), phases.reshape(len(starts), -1) - reference
-
-
-def _sum_of_powers(factors: Complexes, base: Complexes) -> Floats:
-    """Real part of the sum of factors[n - 1] base^n (Horner)."""
-    total = factors[-1] * base
-    for factor in factors[-2::-1]:
-        total += factor
-        total *= base
-    return np.ascontiguousarray(total.real)

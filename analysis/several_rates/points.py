@@ -132,13 +132,18 @@ def records_of_estimates(
     else:
         rate = np.broadcast_to(np.asarray(input_rate, dtype=np.float64).ravel(), (count,))
     run = rate, place_in_run(count) if in_order else np.broadcast_to(0.0, count)
+    # whether the rates are those that the records themselves gave, whatever their sense
+    own = flat[0].input_rate if len(flat) == 1 else np.concatenate([e.input_rate for e in flat])
+    is_own = not any(e.rate_given for e in flat) and all(
+        np.allclose(np.abs(rate[some]), own[some], rtol=_THE_SAME, equal_nan=True) for some in in_blocks(count)
+    )
     read = partial(_read, flat[0], run) if len(flat) == 1 else _together(flat, run).__getitem__
     return _records(
         rate,
         read,
         scale_factor=flat[0].scale_factor,
         noise_model="; ".join(dict.fromkeys(e.noise_model for e in flat)),
-        rate_of_beat=not any(e.rate_given for e in flat) and _is_own(rate, [e.input_rate for e in flat]),
+        rate_of_beat=is_own,
         when=run[1],
     )
 
@@ -218,15 +223,6 @@ def _records(
         rate_of_beat=rate_of_beat,
         visits=when[visits_of_rates(rate)] if np.ptp(when) > 0 else when[:1],
         read=read,
-    )
-
-
-def _is_own(rate: Floats, own: Sequence[Floats]) -> bool:
-    """Whether rates (n,) are those that the records themselves gave, whatever their sense."""
-    each = np.concatenate(own) if len(own) > 1 else own[0]
-    return all(
-        np.allclose(np.abs(rate[some]), each[some], rtol=_THE_SAME, equal_nan=True)
-        for some in in_blocks(rate.size)
     )
 
 

@@ -214,10 +214,15 @@ def _rows(source: Source, about: str, records: Sequence[SavedRecord]) -> Rows:
             "conditions": conditions,
         }
         seen, coded[place] = _preamble_columns(record)
+        truth = record.conditions.get("truth")
+        true = truth.get(LOCK_IN_RATE.key()) if isinstance(truth, dict) else None
         row: dict[str, Any] = {
             **cells,
             **seen,
-            **_condition_columns(record.conditions),
+            "channel": str(record.conditions.get("channel") or ""),
+            "axis": str(record.conditions.get("axis") or ""),
+            **{name: _number(record.conditions.get(name)) for name in NUMBERS[5:-1]},
+            "true_lock_in_rate_dps": _number(true),
             "source": source.name,
             "number": record.number,
             # one that is damaged stays so: its sum must not become right again
@@ -248,17 +253,6 @@ def _preamble_columns(record: SavedRecord) -> tuple[dict[str, Any], bool]:
         "level_offset": preamble.yoff,
         "volts_offset": preamble.yzero,
     }, True
-
-
-def _condition_columns(conditions: Mapping[str, Any]) -> dict[str, Any]:
-    truth = conditions.get("truth")
-    true = truth.get(LOCK_IN_RATE.key()) if isinstance(truth, dict) else None
-    return {
-        "channel": str(conditions.get("channel") or ""),
-        "axis": str(conditions.get("axis") or ""),
-        **{name: _number(conditions.get(name)) for name in NUMBERS[5:-1]},
-        "true_lock_in_rate_dps": _number(true),
-    }
 
 
 def _number(value: Any) -> float:

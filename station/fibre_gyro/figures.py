@@ -9,7 +9,7 @@ from operator import attrgetter
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from analysis.fibre_gyro import (
     Repeatability,
@@ -59,7 +59,6 @@ from station.results.result import Excluded, PlacedFigure, Result, Section, Text
 from station.runs.store import SavedRun
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 
@@ -807,22 +806,18 @@ def _scale_factors_svg(found: FiguresEvaluation) -> str:
                 u = PPM * np.array([one.figures.fit.slope_u for one in chosen]) / abs(axis.scale_factor)
                 off = PPM * (slopes / axis.scale_factor - 1)
                 if chosen:
-                    colour, temperatures = COLOURS[(2 * index + place) % 7], [one.temperature_c for one in chosen]
-                    _against_temperature(axes, f"{of_axis}{name}", temperatures, off, u, colour)
+                    colour, at = (
+                        COLOURS[(2 * index + place) % 7],
+                        np.array([one.temperature_c for one in chosen], np.float64),
+                    )
+                    at = at if np.all(np.isfinite(at)) else np.arange(1.0, at.size + 1)
+                    how: dict[str, Any] = {"fmt": "o", "ms": 4, "capsize": 2, "color": colour, "linewidth": 0.9}
+                    axes.errorbar(at, off, yerr=u, label=f"{of_axis}{name}", **how)
         axes.axhline(0, color=SOFT, linewidth=0.8)
         axes.set(xlabel="temperature, °C" if known else "run", ylabel="K less mean, ppm")
         legend_above(axes, columns=2)
 
     return svg_element("scale-factors", WIDE, draw)
-
-
-def _against_temperature(
-    axes: Axes, name: str, temperature: ArrayLike, value: ArrayLike, u: ArrayLike, colour: str
-) -> None:
-    place = np.asarray(temperature, dtype=np.float64)
-    if not np.all(np.isfinite(place)):
-        place = np.arange(1.0, place.size + 1)
-    axes.errorbar(place, value, yerr=u, fmt="o", ms=4, capsize=2, color=colour, linewidth=0.9, label=name)
 
 
 _SAME_TEMPERATURE_K = 5.0

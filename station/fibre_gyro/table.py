@@ -75,7 +75,14 @@ def sections(found: TableEvaluation, run: SavedRun, settings: FogSettings, resul
         )
         made.append(Section("Scale factors and misalignments", text, table=matrix_table(found.matrix)))
     if any(one.linearity is not None for one in found.axes):
-        made.append(_ladder_section(found))
+        text = (
+            "Scale-factor error as a polynomial of the rate over the largest: asymmetry between the senses, "
+            "linear, quadratic and quartic term. A term is in it where it is more than three of its "
+            "uncertainties. The nonlinearity is freed of what noise and scatter make of it."
+        )
+        figure = PlacedFigure(_ladder_svg(found), "Mean output less the straight line; curve: polynomial, ±1 u.")
+        title, ladder = "Scale-factor error over the rates", ladder_table(found.axes)
+        made.append(Section(title, text, figures=(figure,), table=ladder))
     for axis, one in zip(result.document["axes"], found.axes, strict=True):
         sentences = tuple(said for said in [noise_sentence(one)] if said)
         table = budget_table(f"K({one.axis})", axis["budget"])
@@ -100,16 +107,6 @@ def sections(found: TableEvaluation, run: SavedRun, settings: FogSettings, resul
             table=TextTable(("run", "turns", "window, s", "sum, counts", "mean, counts", "residual, ppm"), rows),
         ),
     ]
-
-
-def _ladder_section(found: TableEvaluation) -> Section:
-    text = (
-        "Scale-factor error as a polynomial of the rate over the largest: asymmetry between the senses, linear, "
-        "quadratic and quartic term. A term is in it where it is more than three of its uncertainties. The "
-        "nonlinearity is freed of what noise and scatter make of it."
-    )
-    figure = PlacedFigure(_ladder_svg(found), "Mean output less the straight line; curve: polynomial, ±1 u.")
-    return Section("Scale-factor error over the rates", text, figures=(figure,), table=ladder_table(found.axes))
 
 
 def axis_table(found: TableEvaluation, settings: FogSettings) -> TextTable:

@@ -807,6 +807,8 @@ def plan(settings: FogSettings) -> list[PlannedSegment]:
     """List the segments: rest, a turn in both senses, rest, ..., while the chamber goes up, stays, comes down."""
     chosen, planned, begin = _own(settings), [], 0.0
     cold, hot = chosen.coldest_c, chosen.hottest_c
+    rates = (chosen.rate_dps, -chosen.rate_dps) if chosen.rate_dps else ()
+    turns = [(f"{rate:+.10g} deg/s", rate, turn_time(rate) + MARGIN_S) for rate in rates]
     legs = [("up", cold, hot), ("hot", hot, hot), ("down", hot, cold), ("cold", cold, cold)] * chosen.cycles
     for place, (leg, start, end) in enumerate(legs):
         name = leg if place < 4 else f"cycle {place // 4 + 1} {leg}"
@@ -817,7 +819,7 @@ def plan(settings: FogSettings) -> list[PlannedSegment]:
         ends, number = begin + lasts, 0
         while begin < ends:
             number += 1
-            for what, rate, seconds in _cycle(settings):
+            for what, rate, seconds in [("rest", 0.0, chosen.rest_s), *turns]:
                 conditions = {
                     "purpose": PURPOSE,
                     "axis": chosen.axis,
@@ -833,14 +835,6 @@ def plan(settings: FogSettings) -> list[PlannedSegment]:
                 if begin >= ends:
                     break
     return planned
-
-
-def _cycle(settings: FogSettings) -> list[tuple[str, float, float]]:
-    """Name, rate and seconds of what is repeated."""
-    chosen = _own(settings)
-    rates = (chosen.rate_dps, -chosen.rate_dps) if chosen.rate_dps else ()
-    turns = [(f"{rate:+.10g} deg/s", rate, turn_time(rate) + MARGIN_S) for rate in rates]
-    return [("rest", 0.0, chosen.rest_s), *turns]
 
 
 def named(rows: Sequence[LogRow], settings: FogSettings) -> list[NamedSegment]:

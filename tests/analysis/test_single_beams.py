@@ -318,7 +318,9 @@ def test_a_laser_that_stands_does_not_end_the_others(other, rate, angular):
     assert middle == pytest.approx(1.0, abs=0.05)
 
 
-def test_the_search_ends_in_the_lowest_valley():
-    """All within its bounds: with steps of the true noise alone the search ends at twice this chi-square."""
-    found = beams.outcome(beams.PLANS["3 10 30, one sense"], 100_010)
-    assert found is not None and abs(found.pull) < 3 and not found.flags & BeamsFlag.MISFIT
+@pytest.mark.parametrize("seed", [100_010, 100_011], ids=["phases turn by 5 rad", "a side valley"])
+def test_whatever_is_bounded_may_be_there_at_once(seed):
+    """Phases turn within a setting, the light changes with the rate, there are valleys beside the lowest."""
+    found = beams.outcome(beams.PLANS["3 10 30, one sense"], seed)
+    assert found is not None and abs(found.pull) < 3 and found.u < 0.002
+    assert not found.flags & (BeamsFlag.MISFIT | BeamsFlag.ROUTES_DIFFER)

@@ -60,7 +60,9 @@ class ServedBench:
     ) -> None:
         values = tomllib.loads(shipped_settings("fibre_gyro_frames").read_text())["formats"]["binary_open_loop"]
         values["commands"]["step_scale"] = step_scale
-        values["output_rate_hz"] = 50.0  # so few that a busy machine makes and reads them at twenty times the speed
+        values["output_rate_hz"] = (
+            50.0  # so few that a busy machine makes and reads them at twenty times the speed
+        )
         self.layout = parse_frame_format(values, where="test")
         self.gyro = ServedGyro(settings, self.layout.interval_s)
         self.server = stack.enter_context(TcpGyroServer(self.gyro, self.layout, speed=SPEED, faults=faults))

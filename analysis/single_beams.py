@@ -254,7 +254,7 @@ def _lasers(parameters: Floats, data: _Data) -> tuple[Floats, Floats]:
     first, second = (_backscatter(column[..., part]) * then for part in (FIRST, SECOND))
     half = np.angle(second * np.conj(first)) / 2
     saturation = np.clip(column[..., SATURATION], 0.0, _MOST_SATURATION) + 0 * half
-    gain = np.exp(column[..., GAIN]) + 0 * half
+    gain = np.exp(np.minimum(column[..., GAIN], 30.0)) + 0 * half
     numbers = np.stack([np.abs(first), np.abs(second), half, saturation, gain], axis=-1)
     return numbers, -np.angle(first * np.exp(1j * half))
 

@@ -595,10 +595,8 @@ def gather(records: UsedRecords) -> Points:
     )
     group = groups_of(np.abs(rate), first_of_groups([np.abs(rate)], SAME_RATE))
     lasts = np.sqrt(np.maximum(square - when**2, 0.0))
-    skew = (
-        np.where(lasts > _LASTS, (cube - 3 * when * square + 2 * when**3) / np.maximum(lasts, _LASTS) ** 3, 0.0)
-        / 2
-    )
+    moment = np.where(lasts > _LASTS, cube - 3 * when * square + 2 * when**3, 0.0)
+    skew = moment / np.maximum(lasts, _LASTS) ** 3 / 2
     ends = skew + np.hypot(skew, 1.0) * np.array([[-1.0], [1.0]])
     return Points(records, places, points, group, lasts * ends, 1 / (1 + ends**2))
 

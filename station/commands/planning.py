@@ -141,6 +141,8 @@ def plan_command(plot: Path | None, config: Path | None, dither: str | None, as_
         return EXIT_OK if found["reached"] else EXIT_FAIL
     planned = make_plan(settings, chosen)
     sentences = plan_sentences(planned)
+    if settings.beams.channels:
+        sentences.append("This is without the single beams: with them it is mostly better (docs/beams.md).")
     if plot is not None:
         from station.plan import write_plan_plot
 

@@ -40,6 +40,12 @@ def test_plan_says_what_to_set(capsys: pytest.CaptureFixture[str]) -> None:
     assert len(document["curve"]["rate_over_lock_in"]) == len(document["curve"]["total_u_percent"])
 
 
+def test_plan_says_that_it_counts_no_beams(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "beams.toml").write_text('[beams]\nchannels = ["CH2", "CH3"]\n')
+    document = planned(capsys, "--config", str(tmp_path / "beams.toml"), "--rates", "8", code=1)
+    assert document["reasons"][-1].startswith("This is without the single beams")
+
+
 @pytest.mark.slow
 def test_plan_options_reach_the_prediction(capsys: pytest.CaptureFixture[str]) -> None:
     plain = planned(capsys)

@@ -247,7 +247,10 @@ def _parabola(
         inverse = np.linalg.pinv(white / size) / size[:, np.newaxis]
         point = inverse @ aim
         before, slope = slope, (2 * float(point[0]), float(point[1]) if bias else 0.0)
-        if not np.any(seen.rate_u) or _alike(seen, before, slope):
+        if not np.any(seen.rate_u) or all(
+            np.allclose(slope[0] * rate + slope[1], before[0] * rate + before[1], rtol=1e-12, atol=0)
+            for _, (rate, *_) in seen.blocks()
+        ):
             break
     return point, inverse @ inverse.T, float(triangle[-1, -1] ** 2)
 
@@ -261,14 +264,6 @@ def _triangle(seen: _Seen, slope: tuple[float, float], known: Floats, bias: bool
         equations = np.stack([*columns, f**2], axis=-1) / us[:, np.newaxis]
         triangle = np.asarray(np.linalg.qr(np.concatenate([triangle, equations]), mode="r"))
     return triangle
-
-
-def _alike(seen: _Seen, before: tuple[float, float], slope: tuple[float, float]) -> bool:
-    """Whether two slopes are one at all rates."""
-    return all(
-        np.allclose(slope[0] * rate + slope[1], before[0] * rate + before[1], rtol=1e-12, atol=0)
-        for _, (rate, *_) in seen.blocks()
-    )
 
 
 def _physical(point: Floats, covariance: Floats, bias: bool) -> tuple[Floats, Floats]:

@@ -355,6 +355,7 @@ class _LaserModel:
         fringes = np.sqrt(light.beams.prod(axis=1))[back] * np.sin(light.psi[back] + readout)
         pedestal = np.repeat(parameters[:, PEDESTAL], some.rate.size)[:, np.newaxis]
         signal = fringes + pedestal * (light.beams.mean(axis=1) - 1)[back]
+        # how much light there is the records say, in `amplitude`: the laser gives the shape
         signal /= np.abs(np.einsum("bk,bk->b", signal, light.kernel[back, 0]))[:, np.newaxis]
         x = some.angular * column[..., LAG]
         amplitude = some.amplitude * np.hypot(1.0, x)  # before the pole

@@ -122,7 +122,8 @@ def _parsed(text: str) -> Preamble:
     parts = [split_header(part) for part in split_parts(text.strip().rstrip(";"))]
     names = [field.name for field in fields(Preamble)]
     if any(header for header, _ in parts):
-        values = _by_header(parts)
+        named = ((_MNEMONICS.get(header.rsplit(":", 1)[-1].upper()), value) for header, value in parts)
+        values = {name: value for name, value in named if name is not None}
         missing = [name for name in names if name not in values]
         if missing:
             raise TransferError(f"the preamble has no {missing[0].upper()} ({text[:60]!r}); ask again")
@@ -331,16 +332,6 @@ def _checked(preamble: Preamble) -> Preamble:
         if not is_right:
             raise TransferError(f"the preamble contradicts itself, {problem}; ask again")
     return preamble
-
-
-def _by_header(parts: list[tuple[str, str]]) -> dict[str, str]:
-    values: dict[str, str] = {}
-    for header, value in parts:
-        mnemonic = header.rsplit(":", 1)[-1].upper()
-        name = _MNEMONICS.get(mnemonic)
-        if name is not None:
-            values[name] = value
-    return values
 
 
 def _word(text: str) -> str:

@@ -451,10 +451,9 @@ def mean_beat_on_table(
     few = chebyshev.chebpts1(_FEW + math.ceil(_FEW * gyro.ripple_hz * span) if gyro.ripple_dps else _FEW)
     behind = (few + 1) * span / 2
     rates, phases = beat_phase_on_table(gyro, segments, (starts[:, np.newaxis] + behind).ravel())
-    rates, slow = rates.reshape(len(starts), -1), phases.reshape(len(starts), -1)
-    slow = (
-        slow - beat_phase_on_table(gyro, segments, middle + behind)[1]
-    )  # phases over those of the middle stretch
+    # phases over those of the stretch in the middle
+    slow = phases.reshape(len(starts), -1) - beat_phase_on_table(gyro, segments, middle + behind)[1]
+    rates = rates.reshape(len(starts), -1)
     nodes = _FEWEST_NODES + math.ceil(_NODES_A_TURN * float(np.ptp(slow, axis=1).max()) / (2 * math.pi))
     if nodes * len(starts) > _MOST_PHASES:
         return None

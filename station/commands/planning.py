@@ -142,7 +142,7 @@ def plan_command(plot: Path | None, config: Path | None, dither: str | None, as_
     planned = make_plan(settings, chosen)
     sentences = plan_sentences(planned)
     if settings.beams.channels:
-        sentences.append("This is without the single beams: with them it is mostly better (docs/beams.md).")
+        sentences.append("The single beams are not counted here: with them u is mostly smaller (docs/beams.md).")
     if plot is not None:
         from station.plan import write_plan_plot
 

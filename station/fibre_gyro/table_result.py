@@ -484,18 +484,21 @@ def _axis(one: AxisResult, settings: FogSettings) -> dict[str, Any]:
         NOMINAL_DIFFERENCE.key(): PPM * (one.fit.scale_factor / settings.nominal_scale_factor - 1),
         **document(one, (SCALE_FACTOR_U, SCATTER)),
         "differences": _differences(one),
-        "linearity": (ladder := one.linearity)
-        and {
-            "terms": ladder.chosen,
-            **document(ladder, [*map(_term, ladder.value), *LADDER]),
-            "points": rows(ladder, LADDER_POINTS),
-        },
+        "linearity": None if one.linearity is None else _linearity(one.linearity),
         "noise_model": None if one.noise is None else one.noise.source,
         "budget": axis_budget(one, settings),
         "points": [
             {"name": key, POINT[0].key(): rate, **document(window, WINDOW), POINT[1].key(): residual}
             for rate, window, residual, key in points
         ],
+    }
+
+
+def _linearity(ladder: Linearity) -> dict[str, Any]:
+    return {
+        "terms": ladder.chosen,
+        **document(ladder, [*map(_term, ladder.value), *LADDER]),
+        "points": rows(ladder, LADDER_POINTS),
     }
 
 

@@ -43,7 +43,7 @@ def test_plan_says_what_to_set(capsys: pytest.CaptureFixture[str]) -> None:
 def test_plan_says_that_it_counts_no_beams(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "beams.toml").write_text('[beams]\nchannels = ["CH2", "CH3"]\n')
     document = planned(capsys, "--config", str(tmp_path / "beams.toml"), "--rates", "8", code=1)
-    assert document["reasons"][-1].startswith("This is without the single beams")
+    assert document["reasons"][-1].startswith("The single beams are not counted here")
 
 
 @pytest.mark.slow

@@ -444,7 +444,7 @@ def beams_svg(beams: BeamsFit) -> str:
                 phase.plot(at, np.degrees(np.angle(seen)), marker, ms=4.5, color=colour, mfc="none")
         for axes in (size, phase):
             _rate_axis(axes, beams.rate)
-        size.set(ylabel="AC over DC, %", ylim=(0, None))
+        size.set(ylabel="AC over DC, %", ylim=(0, 1.1 * size.dataLim.ymax))
         phase.set(ylabel="phase, °")
         legend_above(size, columns=2)
 

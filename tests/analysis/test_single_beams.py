@@ -329,9 +329,16 @@ def test_a_laser_that_stands_does_not_end_the_others(other, rate, angular):
     assert middle == pytest.approx(1.0, abs=0.05)
 
 
-@pytest.mark.parametrize("seed", [100_010, pytest.param(100_011, marks=pytest.mark.slow, id="with a side valley")])
-def test_whatever_is_bounded_may_be_there_at_once(seed):
+@pytest.mark.parametrize(
+    ("seed", "u"),
+    [
+        (100_010, 2e-3),
+        (100_012, 1e-3),
+        pytest.param(100_011, 2e-3, marks=pytest.mark.slow, id="with a side valley"),
+    ],
+)
+def test_whatever_is_bounded_may_be_there_at_once(seed, u):
     """Phases turn within a setting, the light changes with the rate, there are valleys beside the lowest."""
     found = beams.outcome(beams.PLANS["3 10 30, one sense"], seed)
-    assert found is not None and abs(found.pull) < 3 and found.u < 0.002
+    assert found is not None and abs(found.pull) < 3 and found.u < u
     assert not found.flags & (BeamsFlag.MISFIT | BeamsFlag.ROUTES_DIFFER)

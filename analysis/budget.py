@@ -586,6 +586,13 @@ class TableGeometry:
     azimuth_deg: float = math.nan
     azimuth_u_deg: float = 0.0
 
+    def for_rate(self, input_rate: float) -> TableGeometry:
+        """The same table at the rate that gives a rate on the axis, deg/s; due east where no azimuth is known."""
+        azimuth = self.azimuth_deg if math.isfinite(self.azimuth_deg) else 90.0
+        earth = float(earth_rate_on_axis(self.latitude_deg, self.tilt_deg, azimuth))
+        rate = (input_rate - earth) / math.cos(math.radians(self.tilt_deg))
+        return replace(self, table_rate=rate, table_rate_u=self.table_rate_u * abs(rate / self.table_rate))
+
 
 @dataclass(frozen=True)
 class BenchKnowledge:

@@ -91,7 +91,9 @@ def combine_estimates(estimates: LockInEstimate, input_rate: Floats | None = Non
         flags |= Flag.RECORDS_DIFFER
     if np.ptp(used.amplitude) > AMPLITUDE_SCATTER * used.amplitude.max():
         flags |= Flag.AMPLITUDE_LOST
-    low, high = (abs(mean), abs(mean)) if rate_u == 0 else _interval(abs(mean), rate_u, together.stretch)
+    low = high = abs(mean)
+    if (wide := rate_u * together.stretch) > 0:
+        low, high = (float(end) * wide for end in size_interval(abs(mean) / wide))
     ratio, ratio_u, rho, rho_covariance = _mean_ratio(used, weights)
     third, third_u = _mean_third_harmonic(used)
     model = used.noise_model
@@ -275,12 +277,6 @@ class _Scatter:
         seen = self.seen * (degrees + 1) / degrees
         student = float(scipy.special.stdtrit(degrees, 0.975)) / -float(scipy.special.ndtri(0.025))
         return max(float(np.sqrt(seen / self.expected)), 1.0), student, True
-
-
-def _interval(size: float, rate_u: float, stretch: float) -> tuple[float, float]:
-    wide = rate_u * stretch
-    low, high = size_interval(size / wide)
-    return float(low) * wide, float(high) * wide
 
 
 def _mean_ratio(used: LockInEstimate, weights: Floats) -> tuple[Floats, Floats, Complexes, Floats]:

@@ -130,7 +130,10 @@ def fit_frequencies(
     p_value, widen, quantile = _test(chi_square, degrees)
     values, covariance = _physical(point, covariance * widen, bias)
     square, square_u = float(values[0]), float(np.sqrt(covariance[0, 0]))
-    low, high = _interval(square, quantile * square_u, np.abs(rate[locked] - values[1]))
+    half, seen_locked = quantile * square_u, np.abs(rate[locked] - values[1])
+    high = float(np.sqrt(square + half)) if square + half > 0 else float("nan")
+    # rates seen locked bound it from below, as far as they lie inside
+    low = max(float(np.sqrt(max(square - half, 0.0))), *seen_locked[seen_locked <= high], 0.0)
     flags = _flags(rate, used, locked, values, square_u, high, p_value, degrees)
     root, us = float(np.sqrt(square)) if square > 0 else float("nan"), np.sqrt(np.diagonal(covariance))
     return FrequencyFit(
@@ -188,13 +191,6 @@ def _test(chi_square: float, degrees: int) -> tuple[float, float, float]:
     if p_value < UNLIKELY:
         return p_value, chi_square / degrees, float(scipy.special.stdtrit(degrees, 0.975))
     return p_value, 1.0, NORMAL_95
-
-
-def _interval(square: float, half: float, locked: Floats) -> tuple[float, float]:
-    """95 % interval of WL from that of WL^2; rates seen locked bound it from below, as far as they lie inside."""
-    high = float(np.sqrt(square + half)) if square + half > 0 else float("nan")
-    low = float(np.sqrt(max(square - half, 0.0)))
-    return max([low, *locked[locked <= high]]), high
 
 
 @dataclass(frozen=True)

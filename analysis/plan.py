@@ -20,11 +20,23 @@ from analysis.budget import (
 )
 from analysis.lockin_equation import beat_frequency, harmonic_ratio
 from analysis.lockin_rate import MAINS_ORDERS
-from analysis.rotation import earth_rate_on_axis
-from analysis.several_rates import COUNTED, RatioData, ReceiverKnowledge, predicted_ratio
-from analysis.several_rates.points import place_in_run
-from analysis.several_rates.ratio_model import N_PARAMETERS, all_solutions, fit_ratios, whitening_factor
+from analysis.several_rates import COUNTED, RatioData, predicted_ratio
+from analysis.several_rates.fit import gain_time_is_open, over_gain_times
+from analysis.several_rates.points import UsedRecords, gather, place_in_run, records_of_arrays
+from analysis.several_rates.ratio_model import N_PARAMETERS, all_solutions, fit_ratios, prior_of, whitening_factor
 from analysis.several_rates.solutions import answer
+from analysis.single_beams import (
+    FIRST,
+    GAIN,
+    SATURATION,
+    SECOND,
+    BeamModulation,
+    BeamsData,
+    BeamsKnowledge,
+    LaserFit,
+    LaserModel,
+    beams_data,
+)
 
 # --------------------
 # What somebody who plans a measurement knows and wants
@@ -102,35 +114,6 @@ def off_mains(
 
 
 @dataclass(frozen=True)
-class TableSpread:
-    """How well the rate on the axis is known where it is the reference; see `TableGeometry`."""
-
-    tilt_deg: float
-    tilt_u_deg: float
-    latitude_deg: float
-    latitude_u_deg: float
-    rate_u_ppm: float
-    azimuth_deg: float = math.nan
-    azimuth_u_deg: float = 0.0
-
-    def at(self, input_rate: float) -> TableGeometry:
-        """The geometry that gives a rate on the axis, deg/s."""
-        azimuth = self.azimuth_deg if math.isfinite(self.azimuth_deg) else 90.0
-        earth = float(earth_rate_on_axis(self.latitude_deg, self.tilt_deg, azimuth))
-        table_rate = (input_rate - earth) / math.cos(math.radians(self.tilt_deg))
-        return TableGeometry(
-            table_rate=table_rate,
-            table_rate_u=1e-6 * self.rate_u_ppm * abs(table_rate),
-            tilt_deg=self.tilt_deg,
-            tilt_u_deg=self.tilt_u_deg,
-            latitude_deg=self.latitude_deg,
-            latitude_u_deg=self.latitude_u_deg,
-            azimuth_deg=self.azimuth_deg,
-            azimuth_u_deg=self.azimuth_u_deg,
-        )
-
-
-@dataclass(frozen=True)
 class PlanRequest:
     """What is wanted, and what is known beforehand."""
 
@@ -144,7 +127,7 @@ class PlanRequest:
     lock_in_factor: float = 2.0  # it may be this factor larger or smaller
     noise_levels: float = 0.0  # noise of the oscilloscope itself, rms, levels
     reference: Reference = "beat"  # {"beat", "rate"}
-    table: TableSpread | None = None
+    table: TableGeometry | None = None  # its rate is one of 1 deg/s
     rates_over_lock_in: tuple[float, ...] = ()  # w/WL to measure at; empty: the best one is looked for
     both_senses: bool = False  # every rate in both senses of rotation
     phase: float = math.nan  # readout phase less backscatter phase, rad; nan: unknown
@@ -285,9 +268,8 @@ def _planned(request: PlanRequest, ratios: tuple[float, ...]) -> Plan:
         fall = math.log(before[0] / budget.combined_u) / math.log(records / before[1])
         more = min(max((budget.combined_u / wanted) ** (1 / max(fall, 0.1)), 1.05), 4.0)
     seconds = sum(rate.shape.records * (rate.shape.duration + request.seconds_between_records) for rate in rates)
-    return Plan(
-        request, rates, budget, budget.combined_u <= wanted * (1 + 1e-6), fixed / request.lock_in_rate, seconds
-    )
+    floor = min(fixed, budget.combined_u) / request.lock_in_rate
+    return Plan(request, rates, budget, budget.combined_u <= wanted * (1 + 1e-6), floor, seconds)
 
 
 def _rates(request: PlanRequest, ratios: tuple[float, ...], records: int) -> tuple[PlannedRate, ...]:
@@ -312,7 +294,7 @@ def _rate(request: PlanRequest, ratio: float, sense: int, records: int) -> Plann
     return PlannedRate(
         over_lock_in=ratio,
         input_rate=rate,
-        table_rate=request.table.at(rate).table_rate if request.table is not None else math.nan,
+        table_rate=request.table.for_rate(rate).table_rate if request.table is not None else math.nan,
         beat_frequency=frequency,
         seconds_per_division=base,
         volts_per_division=scale,
@@ -338,7 +320,7 @@ def _budget(request: PlanRequest, rates: tuple[PlannedRate, ...]) -> Budget:
         request.knowledge,
         # the records show a third harmonic always; the fit to several rates counts all of it
         separated=frozenset(COUNTED if len(rates) > 1 else {"third_order"}),
-        table=request.table.at(slowest.input_rate) if request.table is not None else None,
+        table=request.table.for_rate(slowest.input_rate) if request.table is not None else None,
     )
     if len(rates) == 1:
         return lock_in_budget(point, knowledge, request.reference)
@@ -369,9 +351,114 @@ def _joint_u(request: PlanRequest, rates: tuple[PlannedRate, ...], *, all_else_k
         request.scale_factor,
         reference=request.reference,
         phase=request.phase,
-        receiver=ReceiverKnowledge.of(request.knowledge),
+        receiver=request.knowledge,
         all_else_known=all_else_known,
     )
+
+
+# --------------------
+# What the same records will say with the single beams beside the beat
+
+
+def plan_beams(plan: Plan, beams: int, knowledge: BeamsKnowledge) -> tuple[float, float] | None:
+    """Relative u that the records of a plan give with single beams: half of all lasers less, and nine in ten.
+
+    ``None`` at one rate in one sense, where they tell nothing.
+    """
+    request = plan.request
+    if not request.distortion_separated:
+        return None
+    visits = [rate for rate, _ in run_order([rate.input_rate for rate in plan.rates])]
+    shape_of = {rate.input_rate: rate.shape for rate in plan.rates}
+    us = expected_beams_u(
+        [replace(shape_of[rate], records=math.ceil(plan.records / visits.count(rate))) for rate in visits],
+        visits,
+        request.lock_in_rate,
+        request.scale_factor,
+        beams=beams,
+        knowledge=knowledge,
+        receiver=request.knowledge,
+    )
+    fixed = [line.contribution for line in plan.budget.inputs if line.name in ("scale_factor", "time_base")]
+    both = np.quantile(us, [0.5, 0.9]) if us.size else [math.inf, math.inf]
+    half, most = (math.hypot(u, *fixed) / request.lock_in_rate for u in both)
+    return half, most
+
+
+_DRAWS, _MANY, _SEED = 24, 64, 20141231
+_RATIOS, _SLOWEST_OVER_CORNER = (0.3, 3.0), (0.01, 3.0)  # of the lasers that are drawn, evenly in logarithms
+_SATURATIONS = 0.1, 0.9
+
+
+def expected_beams_u(
+    shapes: Sequence[RecordShape],
+    input_rates: Sequence[float],
+    lock_in_rate: float,
+    scale_factor: float,
+    *,
+    beams: int = 2,
+    knowledge: BeamsKnowledge | None = None,
+    receiver: BenchKnowledge | None = None,
+) -> Floats:
+    """Standard uncertainty of the lock-in rate that beat and beams will give, deg/s, for lasers that are drawn.
+
+    Nobody knows the laser beforehand: phase sum 0 to 180 degrees, a2/a1 0.3 to 3, the slowest beat at 0.01 to 3
+    gain corners. Rising, (n,): its middle is the median. Neither the scale factor nor other solutions count.
+
+    Parameters
+    ----------
+    shapes, input_rates : (p,)
+        How the records of each visit of a rate (deg/s, signed) are taken, in the order of the run.
+    beams : {1, 2}
+        That are recorded, as large on the screen as the beat.
+    """
+    known, receiver = knowledge or BeamsKnowledge(), receiver or BenchKnowledge()
+    counts = [min(max(shape.records, 2), _MANY) for shape in shapes]  # more say the same with less noise
+    rate = np.repeat(np.asarray(input_rates, dtype=np.float64), counts)
+    frequency = beat_frequency(scale_factor, np.abs(rate), lock_in_rate)
+    noise = np.repeat(
+        [shape.total_noise / shape.amplitude * math.sqrt(2 / shape.samples) for shape in shapes], counts
+    )
+    noise *= np.sqrt(np.repeat(counts / np.array([shape.records for shape in shapes]), counts))
+    size = -np.sign(rate) * harmonic_ratio(lock_in_rate / np.abs(rate))
+    records = records_of_arrays(
+        rate,
+        size,
+        noise[:, np.newaxis, np.newaxis] ** 2 * np.eye(2),
+        frequency,
+        scale_factor=scale_factor,
+        third_harmonic_u=noise,
+        in_order=True,
+    )
+    used = UsedRecords(records, np.ones(rate.size, dtype=bool), np.zeros(rate.size), "beat")
+    there = np.where(np.arange(2) < beams, noise[:, np.newaxis], np.nan)
+    swings = BeamModulation(np.ones(there.shape, dtype=np.complex128), there, np.ones(there.shape), 0)
+    data = beams_data(gather(used), swings, known, receiver)
+    rng, us = np.random.default_rng(_SEED), list[float]()
+    for _ in range(_DRAWS):
+        laser = _drawn(rng, data, 2 * np.pi * scale_factor * lock_in_rate)
+        ratio, _, swing, _, found = LaserModel(data).predicted(laser[np.newaxis])
+        if not found[0]:  # its backscatter is too strong for the slowest rate
+            continue
+        points = replace(data.points, points=replace(data.points.points, ratio=ratio[0]))
+        weight = data.swing_weight / np.maximum(np.abs(swing[0]), 1e-12)
+        model = LaserModel(replace(data, points=points, swing=swing[0], swing_weight=weight))
+        us.append(LaserFit.at(model, laser).coupling(1.0)[0][1] / (2 * np.pi * scale_factor))
+    return np.sort(us)
+
+
+def _drawn(rng: np.random.Generator, data: BeamsData, coupling: float) -> Floats:
+    """Parameters of a laser whose |C| is that, rad/s, all else as it is likeliest."""
+    ratio, slowness = np.exp(rng.uniform(*np.log([_RATIOS, _SLOWEST_OVER_CORNER]).T))
+    turn = np.exp(0.5j * rng.uniform(0, np.pi))
+    both = np.array([1 / turn, ratio * turn]) * np.exp(1j * rng.uniform(0, 2 * np.pi))
+    both *= coupling / abs(both.sum())
+    parameters = data.mean.copy()
+    for part, one in zip((FIRST, SECOND), both, strict=True):
+        parameters[part] = math.log(abs(one)), np.angle(one)
+    parameters[GAIN] = math.log(float(data.points.points.angular.min()) / slowness)
+    parameters[SATURATION] = rng.uniform(*_SATURATIONS)
+    return parameters
 
 
 # --------------------
@@ -391,7 +478,7 @@ def expected_joint_u(
     *,
     reference: Reference = "beat",
     phase: float = np.nan,
-    receiver: ReceiverKnowledge | None = None,
+    receiver: BenchKnowledge | None = None,
     all_else_known: bool = False,
 ) -> float:
     """Standard uncertainty of the lock-in rate that all rates give together, deg/s: that of `fit_rates`."""
@@ -428,15 +515,21 @@ def expected_joint_u(
     )
     rho = predicted_ratio(truth, data)
     data = replace(data, ratio=rho, whitening=whitening_factor(_turned(rho, along, across)))
-    prior = (receiver or ReceiverKnowledge()).prior(float(frequency.min())).seen_by(data)
+    prior = prior_of(receiver or BenchKnowledge(), float(frequency.min())).seen_by(data)
     if all_else_known:
         prior = replace(prior, sd=np.where(np.isinf(prior.sd), np.inf, 0.0))
-    elif len(set(np.sign(rate))) == 1 and np.unique(rate).size < FEW_RATES:
-        rows = range(0, phases.size, 2) if phases.size > 1 else range(1)
-        each = [replace(data, ratio=rho[row], whitening=data.whitening[row : row + 1]) for row in rows]
-        us = [answer(all_solutions(one, prior), 1.0, 0).u for one in each]
-        return float(np.sqrt(np.mean(np.square(us))))
     fit = fit_ratios(data, prior, truth)
+    few = len(set(np.sign(rate))) == 1 and np.unique(rate).size < FEW_RATES
+    if not all_else_known and (few or gain_time_is_open(fit, data, prior, np.unique(rate).size)):
+        us = []
+        for row in range(0, phases.size, 4):
+            one = replace(data, ratio=rho[row], whitening=data.whitening[row : row + 1])
+            found = all_solutions(one, prior) if few else fit.take(slice(row, row + 1))
+            said = answer(found, 1.0, 0)
+            if gain_time_is_open(found, one, prior, np.unique(rate).size):
+                said = over_gain_times(said, found, one, prior, 1.0)
+            us.append(said.u)
+        return float(np.sqrt(np.mean(np.square(us))))
     radial = np.stack([np.cos(phases), -np.sin(phases)], axis=-1)
     variance = np.einsum("bi,bij,bj->b", radial, fit.covariance[:, :2, :2], radial)
     return float(np.sqrt(variance.mean()))
@@ -514,7 +607,7 @@ def default_rates(
 # Uncertainty of the lock-in rate against the rate at which it is measured
 
 
-_POINTS = 100
+_POINTS = 24  # of a smooth curve: each takes fits where both senses are planned
 _GROUPS: dict[str, tuple[str, ...]] = {
     "noise": ("noise", "quantization", "beat_frequency", "scatter"),
     "distortion": ("distortion", "third_order", "separation"),
@@ -549,7 +642,7 @@ class UncertaintyCurve:
 def uncertainty_curve(request: PlanRequest, records: int, *, fastest: float = 100.0) -> UncertaintyCurve:
     """Predict the uncertainty at rates from close above lock-in to `fastest` times lock-in."""
     single = replace(request, rates_over_lock_in=())
-    over = np.geomspace(1.06, fastest, _POINTS)
+    over = 1 + np.geomspace(0.06, fastest - 1, _POINTS)  # it is steep near lock-in
     budgets = [predicted_budget(single, float(ratio), records) for ratio in over]
     parts = {name: np.array([_part(budget, lines) for budget in budgets]) for name, lines in _GROUPS.items()}
     return UncertaintyCurve(

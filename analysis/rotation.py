@@ -131,7 +131,11 @@ def tilt_from_fast_runs(
     common = np.hypot(scale_factor_u / scale_factor, table_rate_u) * np.cos(tilt)
     chi_square, degrees = float(np.sum((left / np.hypot(own, unknown)) ** 2)), f.size - 1
     scatter = np.sqrt(max(chi_square / degrees, 1.0)) if by_scatter and degrees else 1.0
-    cosine_u = float(np.hypot(_mean_u(turning, us, own, unknown, table) * scatter, common))
+    # `own` is independent in each run, `unknown` common at one table rate
+    weights = turning / us**2
+    shared = [np.sum(np.abs(weights[table == rate]) * unknown[table == rate]) for rate in np.unique(table)]
+    mean_u = np.hypot(np.linalg.norm(weights * own), np.linalg.norm(shared)) / np.sum(weights * turning)
+    cosine_u = float(np.hypot(mean_u * scatter, common))
     return TiltFit(
         tilt_deg=float(np.rad2deg(tilt)),
         # Near zero tilt the cosine is flat: what is left is how far the axis may lean unseen.
@@ -140,13 +144,6 @@ def tilt_from_fast_runs(
         degrees_of_freedom=degrees,
         earth_rate_part_deg=float(np.rad2deg(tilt - first)),
     )
-
-
-def _mean_u(turning: Floats, us: Floats, own: Floats, unknown: Floats, table: Floats) -> float:
-    """Standard uncertainty of the cosine; `own` is independent in each run, `unknown` common at one table rate."""
-    weights = turning / us**2
-    shared = [np.sum(np.abs(weights[table == rate]) * unknown[table == rate]) for rate in np.unique(table)]
-    return float(np.hypot(np.linalg.norm(weights * own), np.linalg.norm(shared)) / np.sum(weights * turning))
 
 
 def _first_tilt(measured: Floats, table: Floats, own: Floats) -> float:

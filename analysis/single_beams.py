@@ -29,12 +29,12 @@ import scipy.special
 from numpy.typing import ArrayLike
 
 from analysis.arrays import NORMAL_95, Bools, Complexes, Floats, Indices, NoFit, Stacked
-from analysis.budget import SCALE_FACTOR_LIMIT, TABLE_RATE_LIMIT, lowest_bandwidth
+from analysis.budget import SCALE_FACTOR_LIMIT, TABLE_RATE_LIMIT, BenchKnowledge, lowest_bandwidth
 from analysis.frequency_method import fit_frequencies
 from analysis.harmonics import fit_free_harmonics
 from analysis.lockin_rate import size_interval
 from analysis.ring_laser.two_mode_laser import beat_phase, periodic_states
-from analysis.several_rates import RatesFit, ReceiverKnowledge
+from analysis.several_rates import RatesFit, prior_of
 from analysis.several_rates.points import Points, gather, with_noise
 from analysis.several_rates.ratio_model import SENSES, RatioData, in_standard_uncertainties, nearest_series
 
@@ -221,7 +221,7 @@ _RECTANGLE = math.sqrt(3.0)
 
 
 @dataclass(frozen=True)
-class _Data:
+class BeamsData:
     """Everything that one fit compares, of P points."""
 
     points: Points
@@ -245,7 +245,7 @@ _FAILED = 1e6  # in standard uncertainties, where there is no solution
 _DETOUR = (0.3, 0.6, 0.8, 0.9, 1.0)  # of the backscatter, on the way to all of it
 
 
-def _lasers(parameters: Floats, data: _Data) -> tuple[Floats, Floats]:
+def _lasers(parameters: Floats, data: BeamsData) -> tuple[Floats, Floats]:
     """Lasers of B sets at P points for :func:`periodic_states`, (B, P, 5), and their readout phases (B, P)."""
     some, column = data.points.points, parameters[:, np.newaxis]
     turned = column[..., BETWEEN] * np.sign(some.rate) / 2 + column[..., TURN] * some.when
@@ -264,10 +264,10 @@ def _backscatter(part: Floats) -> Complexes:
     return np.asarray(np.exp(np.clip(part[..., 0], -30.0, 30.0) + 1j * part[..., 1]))
 
 
-class _LaserModel:
+class LaserModel:
     """The model of some data; what it found last is where the next search for periodic solutions begins."""
 
-    def __init__(self, data: _Data) -> None:
+    def __init__(self, data: BeamsData) -> None:
         self.data, some = data, data.points.points
         steepest = float(np.max(np.abs(some.ratio)))
         turns = 1 if steepest < _STEEP else 2 if steepest < _STEEPER else 4
@@ -492,7 +492,7 @@ def fit_beams(
     fit: RatesFit,
     modulation: BeamModulation,
     knowledge: BeamsKnowledge | None = None,
-    receiver: ReceiverKnowledge | None = None,
+    receiver: BenchKnowledge | None = None,
 ) -> BeamsFit:
     """Lock-in rate from the beat's harmonics, the beams' modulation and the rates of all records together.
 
@@ -504,7 +504,7 @@ def fit_beams(
         Of every record of that fit, in its order.
     knowledge : BeamsKnowledge, optional
         What is known of the beams' channels and of the table; without it the usual bounds hold.
-    receiver : ReceiverKnowledge, optional
+    receiver : BenchKnowledge, optional
         Of the beat's receiver, as for `fit_rates`.
 
     Raises
@@ -512,7 +512,13 @@ def fit_beams(
     NoFit
         No record with a beam that can be used, or no laser that fits the records.
     """
-    data = _data(fit, modulation, knowledge or BeamsKnowledge(), receiver or ReceiverKnowledge())
+    gathered = gather(fit.each.records)
+    # drifts of the beat's fit may stand for what it does not know
+    steady = np.where(np.arange(fit.each.parameters.shape[1]) > SENSES, 0.0, fit.each.parameters)
+    scatter, degrees = gathered.scatter(steady, turning=True)
+    if degrees > 0 and float(scipy.special.chdtrc(degrees, scatter)) < UNLIKELY:
+        gathered = with_noise(gathered, (scatter / degrees - 1) * gathered.covariance)
+    data = beams_data(gathered, modulation, knowledge or BeamsKnowledge(), receiver or BenchKnowledge())
     found = _solutions(data)
     best, points = found[0], data.points.points
     weights = [data.swing_weight, points.ratio] * 2 + [data.rate_weight, points.third_weight]
@@ -587,16 +593,10 @@ _BESIDE = {"third_order": THIRD_ORDER, "lag": LAG, "phase_drift": TURN, "lock_in
 _BESIDE |= {"phase_between_senses": BETWEEN}
 
 
-def _data(fit: RatesFit, modulation: BeamModulation, known: BeamsKnowledge, receiver: ReceiverKnowledge) -> _Data:
-    """The records gathered into points, and what is known of everything beforehand."""
-    records = fit.each.records
-    points = gather(records)
-    # drifts of the beat's fit may stand for what it does not know
-    steady = np.where(np.arange(fit.each.parameters.shape[1]) > SENSES, 0.0, fit.each.parameters)
-    scatter, degrees = points.scatter(steady, turning=True)
-    if degrees > 0 and float(scipy.special.chdtrc(degrees, scatter)) < UNLIKELY:
-        points = with_noise(points, (scatter / degrees - 1) * points.covariance)
-    swing, weight, over = _swings(points, modulation)
+def beams_data(points: Points, swings: BeamModulation, known: BeamsKnowledge, bench: BenchKnowledge) -> BeamsData:
+    """The points with the beams of their records, and what is known of everything beforehand."""
+    records = points.records
+    swing, weight, over = _swings(points, swings)
     if not weight.any():
         raise NoFit("no record with a single beam that could be used")
     some, rate_weight = points.points, np.zeros(len(weight))
@@ -606,8 +606,8 @@ def _data(fit: RatesFit, modulation: BeamModulation, known: BeamsKnowledge, rece
         for rows, data, _ in records.data():
             np.maximum.at(by_azimuth, points.places[data], records.rate_u[rows])
         rate_weight = 1 / np.hypot(by_azimuth, own * np.abs(some.rate))
-    mean, sd = _beforehand(some, over, known, receiver)
-    if modulation.flags & BeamsFlag.NO_LEVEL:
+    mean, sd = _beforehand(some, over, known, bench)
+    if swings.flags & BeamsFlag.NO_LEVEL:
         sd[LEVEL] = _NO_LEVEL_U
     for part in (LEVEL, CROSSTALK, OTHER_BEAM, DELAY):
         sd[part] *= weight.any(axis=0)
@@ -616,7 +616,7 @@ def _data(fit: RatesFit, modulation: BeamModulation, known: BeamsKnowledge, rece
     for _, block in records.blocks():
         beats += points.places.sums(block, np.ones(block.rate.shape), block.beat_frequency_u**2)
     beat_u = np.sqrt(beats[1]) / beats[0]
-    return _Data(points, swing, weight, over, rate_weight, beat_u, mean, sd, known.ac_corner_hz)
+    return BeamsData(points, swing, weight, over, rate_weight, beat_u, mean, sd, known.ac_corner_hz)
 
 
 def _swings(points: Points, modulation: BeamModulation) -> tuple[Complexes, Floats, Floats]:
@@ -644,17 +644,17 @@ def _swings(points: Points, modulation: BeamModulation) -> tuple[Complexes, Floa
 
 
 def _beforehand(
-    some: RatioData, over: Floats, known: BeamsKnowledge, receiver: ReceiverKnowledge
+    some: RatioData, over: Floats, known: BeamsKnowledge, bench: BenchKnowledge
 ) -> tuple[Floats, Floats]:
     """Mean and standard deviation of every parameter before there are data, (N_PARAMETERS,) each."""
-    slowest, corner = float(some.angular.min()) / (2 * np.pi), receiver.gain_corner
-    before = receiver.prior(slowest).seen_by(some)
+    slowest, corner = float(some.angular.min()) / (2 * np.pi), bench.gain
+    before = prior_of(bench, slowest).seen_by(some)
     mean, sd = np.zeros(N_PARAMETERS), np.full(N_PARAMETERS, np.inf)
     mine = [DISTORTION, LAG, THIRD_ORDER, BETWEEN, TURN, BEND, DRIFT]
     mean[mine], sd[mine] = before.mean[[2, *range(4, 10)]], before.sd[[2, *range(4, 10)]]
     longest = math.sqrt(sd[LAG] * _RECTANGLE)  # that is of the square of a time
     mean[LAG], sd[LAG] = longest / 2, longest / 2 / _RECTANGLE
-    if receiver.bandwidth.corrected:
+    if bench.bandwidth.corrected:
         mean[LAG], sd[LAG] = 0.0, longest / _RECTANGLE  # of what is left
     mean[GAIN], sd[GAIN] = _GAIN, _GAIN_U
     if corner.u_hz > 0:
@@ -681,17 +681,31 @@ Answer = tuple[float, float, float, float]  # value, standard uncertainty, ends 
 
 
 @dataclass(frozen=True)
-class _Solution:
+class LaserFit:
     """One minimum of chi-square."""
 
-    model: _LaserModel
+    model: LaserModel
     parameters: Floats
     covariance: Floats  # (N_PARAMETERS, N_PARAMETERS), 0 where held
     chi_square: float
     log_volume: float
     values: int  # residuals that there are
 
-    def apart(self, other: _Solution) -> Floats:
+    @classmethod
+    def at(cls, model: LaserModel, parameters: Floats) -> LaserFit:
+        """What the slopes of the model say about some parameters."""
+        free = np.flatnonzero(model.data.sd > 0)
+        residual = model.residual(parameters[np.newaxis], keep=True)[0]
+        slopes = _jacobian(model, parameters, free)
+        size = np.maximum(np.linalg.norm(slopes, axis=0), 1e-100)
+        eigenvalues, vectors = np.linalg.eigh((slopes / size).T @ (slopes / size))
+        eigenvalues = np.maximum(eigenvalues, 1e-14)
+        covariance = np.zeros((N_PARAMETERS, N_PARAMETERS))
+        covariance[np.ix_(free, free)] = (vectors / eigenvalues) @ vectors.T / np.outer(size, size)
+        volume = -0.5 * float(np.sum(np.log(eigenvalues))) - float(np.sum(np.log(size)))
+        return cls(model, parameters, covariance, float(residual @ residual), volume, residual.size)
+
+    def apart(self, other: LaserFit) -> Floats:
         """Differences of both backscatters from another's: of logarithms, and rad."""
         difference = self.parameters[:4] - other.parameters[:4]
         difference[1::2] = np.angle(np.exp(1j * difference[1::2]))
@@ -730,35 +744,25 @@ class _Solution:
         return sagnac / (2 * np.pi), np.hypot(u, self.model.data.beat_u)  # what shifts the beat shifts it as much
 
 
-def _steps(data: _Data) -> Floats:
+def _steps(data: BeamsData) -> Floats:
     """A step of each parameter, (N_PARAMETERS, N_PARAMETERS), by which derivatives are taken."""
     return np.diag(np.where(np.isfinite(data.sd) & (data.sd > 0), 1e-4 * data.sd, _SMALL))
 
 
-def _solutions(data: _Data, starts: Iterable[Floats] | None = None) -> list[_Solution]:
+def _solutions(data: BeamsData, starts: Iterable[Floats] | None = None) -> list[LaserFit]:
     """The minima that are possible, the best first."""
-    model = _LaserModel(data)
+    model = LaserModel(data)
     looked = [(start, 0.0) for start in starts] if starts is not None else _looked(model, _starts(data))
     if not looked:
         raise NoFit("no two-mode laser fits the records of beat and beams")
-    found: list[_Solution] = []
+    found: list[LaserFit] = []
     for start, cost in looked:
         if found and cost > looked[0][1] + 1e3 and found[0].chi_square < _GOOD * found[0].values:
             break
         end = _search(model, start, _EVALUATIONS)
         if end is None:
             continue
-        parameters = end[0]
-        free = np.flatnonzero(model.data.sd > 0)
-        residual = model.residual(parameters[np.newaxis], keep=True)[0]
-        slopes = _jacobian(model, parameters, free)
-        size = np.maximum(np.linalg.norm(slopes, axis=0), 1e-100)
-        eigenvalues, vectors = np.linalg.eigh((slopes / size).T @ (slopes / size))
-        eigenvalues = np.maximum(eigenvalues, 1e-14)
-        covariance = np.zeros((N_PARAMETERS, N_PARAMETERS))
-        covariance[np.ix_(free, free)] = (vectors / eigenvalues) @ vectors.T / np.outer(size, size)
-        volume = -0.5 * float(np.sum(np.log(eigenvalues))) - float(np.sum(np.log(size)))
-        one = _Solution(model, parameters, covariance, float(residual @ residual), volume, residual.size)
+        one = LaserFit.at(model, end[0])
         u = 1e-3 + 0.5 * np.sqrt(np.diagonal(one.covariance)[:4])
         if not any(np.all(np.abs(one.apart(other)) < u) for other in found):
             found.append(one)
@@ -770,7 +774,7 @@ def _solutions(data: _Data, starts: Iterable[Floats] | None = None) -> list[_Sol
     return [one for one in found if one.chi_square < found[0].chi_square + POSSIBLE]
 
 
-def _looked(model: _LaserModel, starts: Iterable[Floats]) -> list[tuple[Floats, float]]:
+def _looked(model: LaserModel, starts: Iterable[Floats]) -> list[tuple[Floats, float]]:
     """Where some steps from each start lead, and chi-square there, the best first."""
     # with noise that becomes less what is known beforehand leads past narrow valleys
     ended = list[tuple[Floats, float]]()
@@ -785,7 +789,7 @@ def _looked(model: _LaserModel, starts: Iterable[Floats]) -> list[tuple[Floats, 
     return sorted(ended, key=lambda one: one[1])
 
 
-def _search(model: _LaserModel, start: Floats, evaluations: int) -> tuple[Floats, float] | None:
+def _search(model: LaserModel, start: Floats, evaluations: int) -> tuple[Floats, float] | None:
     """Least squares from a start: parameters and chi-square; ``None`` where no laser is near it."""
     from scipy.optimize import least_squares  # takes as long to import as all else
 
@@ -810,14 +814,14 @@ def _search(model: _LaserModel, start: Floats, evaluations: int) -> tuple[Floats
     return whole(made.x), 2 * float(made.cost)
 
 
-def _jacobian(model: _LaserModel, parameters: Floats, free: Indices) -> Floats:
+def _jacobian(model: LaserModel, parameters: Floats, free: Indices) -> Floats:
     """Derivatives of the residuals, (values, free)."""
     steps = _steps(model.data)[free]
     both = model.residual(np.concatenate([parameters + steps, parameters[np.newaxis]]))
     return np.asarray(((both[:-1] - both[-1]) / steps[np.arange(free.size), free][:, np.newaxis]).T)
 
 
-def _starts(data: _Data) -> list[Floats]:
+def _starts(data: BeamsData) -> list[Floats]:
     """Starts by equation (1) and that of the harmonics, linear in C and D, at gains that suit them."""
     gains = np.exp(np.mean(np.log(data.points.points.angular))) / np.geomspace(0.01, 20.0, 24)
     unknown = float(np.max(data.sd[LEVEL])) > 1.0
@@ -832,7 +836,7 @@ def _starts(data: _Data) -> list[Floats]:
     return [tried[place][0] for place in dict.fromkeys(beside)]
 
 
-def _linear(data: _Data, gain: float, level: float) -> tuple[Floats, float]:
+def _linear(data: BeamsData, gain: float, level: float) -> tuple[Floats, float]:
     """Best parameters of the linear equations at a gain and a level, and what they leave."""
     some = data.points.points
     w, positive, gd = some.angular, some.rate > 0, gain * (1 - _SATURATION) / (1 + _SATURATION)
@@ -866,7 +870,7 @@ def _linear(data: _Data, gain: float, level: float) -> tuple[Floats, float]:
     return start, float(np.sum((system @ values - aims) ** 2))
 
 
-def _routes(fit: RatesFit, data: _Data, best: _Solution) -> tuple[Route, ...]:
+def _routes(fit: RatesFit, data: BeamsData, best: LaserFit) -> tuple[Route, ...]:
     """The lock-in rate by harmonics alone, by the beams alone and by the frequencies alone."""
     scale = 2 * np.pi * data.points.records.records.scale_factor
     own = fit.lock_in_rate, fit.lock_in_rate_u, fit.lock_in_rate_low_95, fit.lock_in_rate_high_95

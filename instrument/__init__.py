@@ -6,24 +6,25 @@
 import importlib
 from typing import TYPE_CHECKING, Any
 
+from instrument.errors import (
+    CommandError,
+    DeviceError,
+    ExecutionError,
+    FileFormatError,
+    InstrumentError,
+    LinkError,
+    NoTrigger,
+    QueryError,
+    ScopeEvent,
+    SettingError,
+    TransferError,
+    WrongInstrument,
+)
+
 if TYPE_CHECKING:
     from instrument.dialogue.identify import Identity
     from instrument.dialogue.retry import ATTEMPTS, RECONNECT_FOR, Persistence, Tally
     from instrument.discovery import FoundResource, find_resources
-    from instrument.errors import (
-        CommandError,
-        DeviceError,
-        ExecutionError,
-        FileFormatError,
-        InstrumentError,
-        LinkError,
-        NoTrigger,
-        QueryError,
-        ScopeEvent,
-        SettingError,
-        TransferError,
-        WrongInstrument,
-    )
     from instrument.rate_table import ManualRateTable, RateTable
     from instrument.tds2014.front_panel import ChannelSettings, FoundPanel
     from instrument.tds2014.knobs import MEASUREMENTS, Cursors, Measurement, ScreenPicture
@@ -71,20 +72,6 @@ _HOMES = {
     "instrument.dialogue.identify": ("Identity",),
     "instrument.dialogue.retry": ("ATTEMPTS", "RECONNECT_FOR", "Persistence", "Tally"),
     "instrument.discovery": ("FoundResource", "find_resources"),
-    "instrument.errors": (
-        "CommandError",
-        "DeviceError",
-        "ExecutionError",
-        "FileFormatError",
-        "InstrumentError",
-        "LinkError",
-        "NoTrigger",
-        "QueryError",
-        "ScopeEvent",
-        "SettingError",
-        "TransferError",
-        "WrongInstrument",
-    ),
     "instrument.rate_table": ("ManualRateTable", "RateTable"),
     "instrument.tds2014.front_panel": ("ChannelSettings", "FoundPanel"),
     "instrument.tds2014.knobs": ("MEASUREMENTS", "Cursors", "Measurement", "ScreenPicture"),

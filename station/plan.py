@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,6 +13,7 @@ import numpy as np
 
 from analysis import harmonic_ratio, lock_in_from_rate
 from analysis.arrays import NORMAL_95
+from analysis.budget import TableGeometry
 from analysis.plan import (
     FEW_RATES,
     FEWEST_RECORDS,
@@ -19,9 +21,9 @@ from analysis.plan import (
     Plan,
     PlannedRate,
     PlanRequest,
-    TableSpread,
     UncertaintyCurve,
     budget_elsewhere,
+    plan_beams,
     plan_measurement,
     plan_of_records,
     predicted_budget,
@@ -33,7 +35,7 @@ from station.errors import NoUsableSignal, StationError, UsageError
 from station.lock_in import dithered
 from station.lock_in.rate_plan import rate_plan, records_at_each
 from station.lock_in.result import budget_document
-from station.lock_in.settings import Settings, bench_knowledge
+from station.lock_in.settings import Settings, beams_knowledge, bench_knowledge
 from station.measurements import measurement
 from station.report.figure import ACCENT, INK, SECOND, SOFT, THIRD, legend_above, write_picture
 from station.results.numbers import BEAT_FREQUENCY, INPUT_RATE, LOCK_IN_RATE, NOISE_RMS, SCALE_FACTOR
@@ -81,10 +83,21 @@ class PlannedMeasurement:
     """A plan with what surrounds it."""
 
     plan: Plan
-    curve: UncertaintyCurve  # for the plan's number of records
     # (float, float): Lock-in rate in deg/s, and the relative uncertainty that the same settings give if that is
     # the true one
     elsewhere: tuple[tuple[float, float], ...]
+    # relative uncertainties that the same records give with single beams, of half of all lasers and of nine in ten
+    beams: tuple[float, float] | None = None
+
+    @property
+    def reached(self) -> bool:
+        """Whether what is wanted is reached, by the beat alone or with the single beams."""
+        return self.plan.reached or (self.beams is not None and self.beams[0] <= self.plan.request.wanted_u)
+
+    @cached_property
+    def curve(self) -> UncertaintyCurve:
+        """For the plan's number of records."""
+        return uncertainty_curve(self.plan.request, self.plan.records)
 
 
 def make_plan(settings: Settings, options: PlanOptions) -> PlannedMeasurement:
@@ -92,7 +105,6 @@ def make_plan(settings: Settings, options: PlanOptions) -> PlannedMeasurement:
     try:
         request = plan_request(settings, options)
         plan = plan_measurement(request)
-        curve = uncertainty_curve(request, plan.records)
     except ValueError as error:
         raise UsageError(str(error)) from None
     factor = plan.request.lock_in_factor
@@ -103,7 +115,10 @@ def make_plan(settings: Settings, options: PlanOptions) -> PlannedMeasurement:
         except ValueError:  # locked
             u = math.inf
         found.append((true, u))
-    return PlannedMeasurement(plan, curve, tuple(found))
+    beams = len(settings.beams.channels)
+    return PlannedMeasurement(
+        plan, tuple(found), plan_beams(plan, beams, beams_knowledge(settings)) if beams else None
+    )
 
 
 def plan_request(settings: Settings, options: PlanOptions) -> PlanRequest:
@@ -149,13 +164,15 @@ def plan_document(planned: PlannedMeasurement, sentences: list[str]) -> dict[str
         SCALE_FACTOR.key(): plan.request.scale_factor,
         "reference": plan.request.reference,
         "wanted_u_percent": 100 * plan.request.wanted_u,
-        "reached": plan.reached,
+        "reached": planned.reached,
         "predicted_u_percent": 100 * plan.budget.relative_u,
         "predicted_u_dps": plan.budget.combined_u,
         "floor_u_percent": 100 * plan.floor_u,
         "records_per_rate": plan.records,
         "records": plan.records * len(plan.rates),
         "duration_s": plan.duration_s,
+        "with_beams": planned.beams
+        and {"predicted_u_percent": 100 * planned.beams[0], "nine_in_ten_u_percent": 100 * planned.beams[1]},
         "rates": [_rate_document(rate) for rate in plan.rates],
         "if_lock_in_rate_is": [
             {LOCK_IN_RATE.key(): rate, "predicted_u_percent": 100 * u} for rate, u in planned.elsewhere
@@ -216,19 +233,20 @@ def _tilt(settings: Settings, options: PlanOptions) -> float | None:
     return options.tilt_deg
 
 
-def _table(settings: Settings, options: PlanOptions) -> TableSpread | None:
+def _table(settings: Settings, options: PlanOptions) -> TableGeometry | None:
     tilt = _tilt(settings, options)
     if tilt is None:
         if options.reference == "rate":
             raise ValueError("with the rate as reference, --tilt says how the gyro's axis stands to the table's")
         return None
     stated = settings.budget
-    return TableSpread(
+    return TableGeometry(
+        table_rate=1.0,
+        table_rate_u=1e-6 * stated.table_rate_u_ppm if stated is not None else 0.0,
         tilt_deg=tilt,
         tilt_u_deg=options.tilt_u_deg,
         latitude_deg=settings.site.latitude_deg,
         latitude_u_deg=stated.latitude_u_deg if stated is not None else 0.0,
-        rate_u_ppm=stated.table_rate_u_ppm if stated is not None else 0.0,
     )
 
 
@@ -280,6 +298,8 @@ def _lock_in(settings: Settings) -> Prediction:
         records = records_at_each(settings, steps)
         request = plan_request(settings, PlanOptions(rates=ratios, both_senses=both))
         planned = plan_of_records(request, records)
+        number = len(settings.beams.channels)
+        beams = plan_beams(planned, number, beams_knowledge(settings)) if number else None
     except (ValueError, NoUsableSignal) as error:
         return Prediction(None, why_not=str(error))
     each = planned.duration_s / sum(rate.shape.records for rate in planned.rates)
@@ -289,7 +309,10 @@ def _lock_in(settings: Settings) -> Prediction:
         senses = 2 if settings.table.both_senses else 1
         seconds += senses * (settings.table.settle_s + settings.measurement.tilt_records * each)
     rates = tuple(sorted(step.sense * step.over_lock_in for step in steps.steps))
-    return Prediction(seconds, planned.budget.combined_u, planned.budget.expanded_u_95, "", rates, records)
+    u, u95 = planned.budget.combined_u, planned.budget.expanded_u_95
+    if beams is not None and math.isfinite(beams[0]):
+        u, u95 = (factor * beams[0] * request.lock_in_rate for factor in (1.0, NORMAL_95))
+    return Prediction(seconds, u, u95, "", rates, records)
 
 
 def _dithered(settings: Settings) -> Prediction:
@@ -383,7 +406,7 @@ def plan_sentences(planned: PlannedMeasurement) -> list[str]:
         said.append(
             f"At a lock-in rate of {locked[0]} deg/s the gyro would be locked at this rate: choose a faster one."
         )
-    return [_outcome(plan), *_why_not_faster(plan), *_senses(plan), *said, *_warnings(plan)]
+    return [_outcome(plan), *_beams(planned), *_why_not_faster(plan), *_senses(plan), *said, *_warnings(plan)]
 
 
 def rate_words(rate: PlannedRate) -> tuple[str, ...]:
@@ -420,6 +443,18 @@ def _outcome(plan: Plan) -> str:
         f"{wanted:.3g} % cannot be reached: no number of records goes below {100 * plan.floor_u:.2g} %, "
         f"most of it from this: {line.quantity}. {taken}: {got:.2g} %."
     )
+
+
+def _beams(planned: PlannedMeasurement) -> list[str]:
+    """What the single beams will add; nobody knows the laser, so that it is a median."""
+    if planned.beams is None:
+        return []
+    if not math.isfinite(planned.beams[0]):
+        return ["With the single beams: the slowest rate is too slow for most lasers; the beat alone counts."]
+    half, most = (f"{100 * u:.2g} %" for u in planned.beams)
+    return [
+        f"With the single beams the same records: {half} (k = 1) for half of all lasers, {most} for nine in ten."
+    ]
 
 
 def _why_not_faster(plan: Plan) -> list[str]:
@@ -529,7 +564,7 @@ def _warnings(plan: Plan) -> list[str]:
 
 
 _SIZE = (8.4, 4.8)
-_DEPTH = 12.0  # the plot reaches this factor below the smallest uncertainty
+_DEPTH, _HIGHEST = 12.0, 20.0  # the plot reaches these factors below and above the smallest uncertainty
 
 
 def write_plan_plot(path: Path, planned: PlannedMeasurement) -> None:
@@ -541,7 +576,7 @@ def _draw(figure: Figure, planned: PlannedMeasurement) -> None:
     axes = figure.add_subplot()
     curve, plan = planned.curve, planned.plan
     over, total = curve.over_lock_in, 100 * curve.total
-    lowest = float(total.min()) / _DEPTH
+    lowest = min(float(total.min()) / _DEPTH, 50 * plan.budget.relative_u)
     axes.plot(over, total, color=INK, linewidth=2.2, label="all together", zorder=5)
     reference = "scale factor, time base" if plan.request.reference == "beat" else "rate on the axis"
     for name, label, color in (
@@ -553,7 +588,12 @@ def _draw(figure: Figure, planned: PlannedMeasurement) -> None:
         part = 100 * getattr(curve, name)
         if np.any(part > lowest):
             axes.plot(over, part, color=color, label=label)
-    axes.set(xscale="log", yscale="log", xlim=(1, float(over[-1])), ylim=(lowest, float(total.max()) * 1.5))
+    axes.set(
+        xscale="log",
+        yscale="log",
+        xlim=(1, float(over[-1])),
+        ylim=(lowest, min(1.5 * float(total.max()), _HIGHEST * float(total.min()))),
+    )
     axes.set_xlabel("rate on the axis over lock-in rate, W/WL")
     each = f"{curve.records} record{'s' if curve.records > 1 else ''} at one rate"
     senses = " in each sense" if plan.request.both_senses else ""

@@ -212,7 +212,13 @@ class StudyTable:
     def texts(self) -> list[list[str]]:
         """Return the rows that a terminal shows as text."""
         rows = [self.rows[place] for place in self.shown] or self.rows
-        return [[_text(cell, form) for cell, form in zip(row, self.formats, strict=True)] for row in rows]
+        return [
+            [
+                cell if isinstance(cell, str) else "" if math.isnan(cell) else format(cell, form)
+                for cell, form in both
+            ]
+            for both in (zip(row, self.formats, strict=True) for row in rows)
+        ]
 
     def as_csv(self) -> str:
         """Return all rows, numbers with all their digits."""
@@ -336,12 +342,6 @@ def _readings_table(readings: tuple[PeakReading, ...]) -> StudyTable:
     return StudyTable(
         "peak_reading", title, ("window", "largest error, %", "rms error, %"), ("s", ".2f", ".2f"), rows
     )
-
-
-def _text(cell: float | str, form: str) -> str:
-    if isinstance(cell, str):
-        return cell
-    return "" if math.isnan(cell) else format(cell, form)
 
 
 # --------------------

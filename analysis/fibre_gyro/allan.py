@@ -609,8 +609,11 @@ def _spectrum(values: Floats, width: int, highest: float) -> tuple[Floats, Float
         raise ValueError("the output is filtered so slowly that a log so short does not show its fast noise")
     edges = np.linspace(lowest, highest, _BINS + 1)
     power, place, number = np.zeros(_BINS), np.zeros(_BINS), np.zeros(_BINS)
-    for stretch in _stretches(values, 4 * width + 64):
-        increments = np.diff(stretch)
+    missing = np.concatenate([[-1], np.flatnonzero(np.isnan(values)), [values.size]])
+    for begin, end in itertools.pairwise(missing):
+        if end - begin <= 4 * width + 64:
+            continue
+        increments = np.diff(values[begin + 1 : end])
         size = increments.size
         taper = np.ones(size)
         rise = max(2, int(_TAPER * size))
@@ -629,12 +632,6 @@ def _spectrum(values: Floats, width: int, highest: float) -> tuple[Floats, Float
     if not full.any():
         raise ValueError("there is no stretch without missing words that is long enough for a noise model")
     return place[full] / number[full], power[full] / number[full], share * number[full]
-
-
-def _stretches(values: Floats, shortest: int) -> list[Floats]:
-    """Stretches without missing words."""
-    edges = np.concatenate([[-1], np.flatnonzero(np.isnan(values)), [values.size]])
-    return [values[begin + 1 : end] for begin, end in itertools.pairwise(edges) if end - begin - 1 >= shortest]
 
 
 # --------------------

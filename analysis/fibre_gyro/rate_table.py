@@ -86,6 +86,9 @@ def fit_axis(
     drift = np.eye(values.size)[-1]
     of_drift = float(scatter.estimator(plain)[0] @ design[:, -1] * values[-1]) if drifts else 0.0
     contributions = {**scatter.parts(estimator[0]), "table rate": abs(k) * table_rate_u_ppm / _PPM}
+    # what the residuals show beyond the noise of the means is irreproducibility from run to run
+    beyond = float(np.sum(residual**2 - runs.mean_u**2 * freedom / residual.size)) / max(freedom, 1)
+    excess = beyond if freedom else 0.0
     return AxisFit(
         scale_factor=k,
         scale_factor_u=float(np.hypot(scatter.standard_u(estimator[0]), contributions["table rate"])),
@@ -103,7 +106,7 @@ def fit_axis(
         residual_ppm=np.asarray(_PPM * residual / np.abs(runs.mean), dtype=np.float64),
         chi_square=float(np.sum((residual / u) ** 2)),
         degrees_of_freedom=freedom,
-        scatter_ppm=_excess_scatter(runs, residual, freedom),
+        scatter_ppm=_PPM * float(np.sqrt(max(excess, 0.0) / np.mean(runs.mean**2))),
         scatter_assumed=scatter.assumed,
         angle_random_walk=float(60 / abs(k) * np.sqrt(np.mean(runs.mean_u**2 * runs.duration_s))),
     )
@@ -123,14 +126,6 @@ def bias_at_latitude(fit: AxisFit, latitude_deg: float) -> tuple[float, float]:
         return fit.bias_dph
     value, u = fit.even_dph
     return value - fit.end_up * vertical_earth_rate_dph(latitude_deg), u
-
-
-def _excess_scatter(runs: TableRuns, residual: Floats, freedom: int) -> float:
-    """Run-to-run irreproducibility, ppm, that the residuals show beyond the noise of the means."""
-    if freedom < 1:
-        return 0.0
-    excess = float(np.sum(residual**2 - runs.mean_u**2 * freedom / residual.size)) / freedom
-    return _PPM * float(np.sqrt(max(excess, 0.0) / np.mean(runs.mean**2)))
 
 
 def vertical_earth_rate_dph(latitude_deg: float) -> float:

@@ -289,7 +289,9 @@ def outliers(words: ArrayLike) -> Bools:
     spread = 1.4826 * float(np.median(known)) if known.size else 0.0
     if known.size == 0 or (spread > 0 and float(known.max()) <= _FAR_OUT * spread):
         return none
-    far = left > max(_FAR_OUT * spread, _FAR_OUT / 3.3 * float(np.quantile(known, 0.9)), _STEPS * _step(values))
+    words = np.unique(values[np.isfinite(values)])
+    step = float(np.diff(words).min()) if words.size > 1 else 0.0
+    far = left > max(_FAR_OUT * spread, _FAR_OUT / 3.3 * float(np.quantile(known, 0.9)), _STEPS * step)
     return far if 0 < far.sum() <= max(3.0, _FEW * values.size) else none
 
 
@@ -311,9 +313,3 @@ def _level(values: Floats) -> Floats:
         return np.zeros(values.size)
     centres = edges[:-1] + (width - 1) / 2
     return np.asarray(np.interp(np.arange(values.size), centres[there], medians[there]), dtype=np.float64)
-
-
-def _step(values: Floats) -> float:
-    """Smallest difference between two different words."""
-    steps = np.diff(np.unique(values[np.isfinite(values)]))
-    return float(steps.min()) if steps.size else 0.0

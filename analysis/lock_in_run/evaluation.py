@@ -60,16 +60,7 @@ from analysis.lockin_equation import lock_in_from_beat, lock_in_from_rate
 from analysis.lockin_rate import LockInEstimate, size_interval
 from analysis.quadratures import QuadratureEstimate, QuadratureFlag, estimate_quadratures
 from analysis.rotation import earth_rate_on_axis
-from analysis.several_rates import (
-    COUNTED,
-    Model,
-    RatesFit,
-    RatesFlag,
-    ReceiverKnowledge,
-    Reference,
-    fit_again,
-    fit_rates,
-)
+from analysis.several_rates import COUNTED, Model, RatesFit, RatesFlag, Reference, fit_again, fit_rates, prior_of
 from analysis.single_beams import BeamsFit, BeamsFlag, fit_beams
 
 CANCEL_IN_THE_CHECK = ("noise", "scale_factor", "time_base")
@@ -210,7 +201,7 @@ class SeveralRates:
 
 def evaluate_rates(run: RunArrays, each: LockInEstimate, axis: AxisRates, knowledge: RunKnowledge) -> SeveralRates:
     """Combine the records at each rate, and fit all of them."""
-    slow, receiver = run.slow, ReceiverKnowledge.of(knowledge.bench)
+    slow, receiver = run.slow, knowledge.bench
     if each.rate_given or each.relation != "exact":
         raise OneRateOnly(
             "this run has several rates: they are fitted with the exact relation and their own rates"
@@ -305,7 +296,7 @@ def without_push(each: LockInEstimate, axis: AxisRates, beams: BeamsFit | None) 
 
 
 def _fit(
-    each: LockInEstimate, axis: AxisRates, rates_u: Floats, reference: Reference, receiver: ReceiverKnowledge
+    each: LockInEstimate, axis: AxisRates, rates_u: Floats, reference: Reference, receiver: BenchKnowledge
 ) -> tuple[RatesFit | None, str]:
     try:
         fit = fit_rates(
@@ -666,21 +657,21 @@ def _rates_budget(
     """Budget of a fit over several rates: what acts on every rate in its own way is put through the fit."""
     bench = replace(bench, separated=bench.separated | fit.counted)
     slowest = float(np.min(each.beat_frequency[fit.used]))
-    known, receiver = bounded(bench, slowest), ReceiverKnowledge.of(bench)
+    known = bounded(bench, slowest)
     # what is common stands as at one rate; the channel comes below
     at_one_rate = lock_in_budget(point, bench)
     scale = fit.lock_in_rate / at_one_rate.lock_in_rate if at_one_rate.lock_in_rate else 1.0
     common = [line for line in at_one_rate.inputs if line.common and line.name not in _CORNER_NAMES]
     lines = [replace(line, sensitivity=line.sensitivity * scale) for line in common]
-    prior = receiver.prior(slowest).sd
+    prior, second = prior_of(bench, slowest).sd, bench.distortion_limit
     unknowns = (
-        ("distortion", receiver.second_order_limit, fit.distortion_u, prior[2]),
-        ("gain corner", receiver.gain_corner.hz, fit.gain_time_u, prior[3]),
-        ("bandwidth", receiver.bandwidth.hz, fit.lag_square_u, prior[4]),
-        ("third order", receiver.third_order_limit, fit.third_order_u, prior[5]),
+        ("distortion", math.nan if "distortion" in bench.separated else second, fit.distortion_u, prior[2]),
+        ("gain corner", bench.gain.hz, fit.gain_time_u, prior[3]),
+        ("bandwidth", bench.bandwidth.hz, fit.lag_square_u, prior[4]),
+        ("third order", bench.third_order_limit, fit.third_order_u, prior[5]),
     )
     hardly_seen = [name for name, stated, u, before in unknowns if math.isnan(stated) and u > _HARDLY * before]
-    lines += [*_from_fit(fit, samples, hardly_seen), *_from_channel(each, fit, known, point, receiver)]
+    lines += [*_from_fit(fit, samples, hardly_seen), *_from_channel(each, fit, known, point, bench)]
     return Budget(fit.lock_in_rate, "beat", tuple(lines))
 
 
@@ -706,7 +697,7 @@ def _from_fit(fit: RatesFit, samples: int, hardly_seen: list[str]) -> Iterator[B
 
 
 def _from_channel(
-    each: LockInEstimate, fit: RatesFit, known: Bounded, point: OperatingPoint, receiver: ReceiverKnowledge
+    each: LockInEstimate, fit: RatesFit, known: Bounded, point: OperatingPoint, receiver: BenchKnowledge
 ) -> Iterator[BudgetInput]:
     """Filters of channel and laser: the fit again with the ratios that would be seen without them."""
     for name, field, quantity, factor in CORNERS:
@@ -752,7 +743,7 @@ def _shift(
     fit: RatesFit,
     factor: Callable[[Floats], Complexes],
     point: OperatingPoint,
-    receiver: ReceiverKnowledge,
+    receiver: BenchKnowledge,
 ) -> float:
     """Change of the lock-in rate in deg/s if the ratios were multiplied by a factor of their beat frequency."""
     try:

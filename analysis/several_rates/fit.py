@@ -16,6 +16,7 @@ import scipy.special
 from numpy.typing import ArrayLike
 
 from analysis.arrays import NORMAL_95, Complexes, Floats, NoFit
+from analysis.budget import BenchKnowledge
 from analysis.lockin_rate import LockInEstimate
 from analysis.several_rates.points import (
     MISMATCH,
@@ -41,12 +42,12 @@ from analysis.several_rates.ratio_model import (
     Prior,
     RatioData,
     RatioFit,
-    ReceiverKnowledge,
     Reference,
     all_solutions,
     beyond_first_order,
     fit_ratios,
     predicted,
+    prior_of,
     third_order_by_third_harmonic,
     with_distortion_alone,
 )
@@ -96,7 +97,7 @@ def fit_rates(
     input_rate_u: ArrayLike = 0.0,
     reference: Reference = "rate",
     model: Model | Literal["auto"] = "auto",
-    receiver: ReceiverKnowledge | None = None,
+    receiver: BenchKnowledge | None = None,
     in_order: bool | None = None,
 ) -> RatesFit:
     """Lock-in rate, distortion and bandwidth of the receiver, and gain corner, from records at several rates.
@@ -121,7 +122,7 @@ def fit_rates(
         What is fitted beside the lock-in rate. "auto" is "all": second- and third-order distortion, gain corner
         and bandwidth, each within what is known of it beforehand. The others fit what they name, take the rest
         to be zero, and know nothing beforehand.
-    receiver : ReceiverKnowledge, optional
+    receiver : BenchKnowledge, optional
         What is known of receiver and laser; without it the usual bounds hold (`analysis.budget`).
     in_order : bool, optional
         Whether the records stand in the order in which they were taken. Then phase and lock-in rate may drift over
@@ -161,7 +162,7 @@ def fit_rates(
 
 
 def fit_again(
-    fit: RatesFit, *, factor: Callable[[Floats], Complexes], receiver: ReceiverKnowledge | None = None
+    fit: RatesFit, *, factor: Callable[[Floats], Complexes], receiver: BenchKnowledge | None = None
 ) -> RatesFit:
     """The fit of the same records, with the ratio of each times a factor of its beat frequency."""
     records = fit.each.records.records.times(factor)
@@ -182,7 +183,7 @@ def fit_rate_ratios(
     input_rate_u: ArrayLike = 0.0,
     reference: Reference = "rate",
     model: Model | Literal["auto"] = "auto",
-    receiver: ReceiverKnowledge | None = None,
+    receiver: BenchKnowledge | None = None,
     in_order: bool = False,
 ) -> RatesFit:
     """`fit_rates` on plain arrays of n records.
@@ -210,7 +211,7 @@ def fit_rate_ratios(
         Whether they stand in the order in which they were taken: then phase and lock-in rate may drift over them.
     """
     if third_harmonic is None and receiver is None:
-        receiver = ReceiverKnowledge(third_order_limit=0.0)
+        receiver = BenchKnowledge(third_order_limit=0.0)
     rate_u = np.asarray(input_rate_u, dtype=np.float64)
     unknown = bool(np.isinf(rate_u).all())
     records = records_of_arrays(
@@ -234,7 +235,7 @@ def _fit(
     rate_u: Floats,
     reference: Reference,
     model: Model | Literal["auto"],
-    receiver: ReceiverKnowledge | None,
+    receiver: BenchKnowledge | None,
 ) -> RatesFit:
     if reference not in ("rate", "beat"):
         raise ValueError(f"reference {reference!r} is neither 'rate' nor 'beat'")
@@ -251,8 +252,8 @@ def _fit(
     points = gather(UsedRecords(records, used, rate_u, reference))
     chosen: Model = "all" if model == "auto" else model
     known, usual = (
-        knowledge.prior(float(points.points.angular.min()) / (2 * np.pi)).seen_by(points.points)
-        for knowledge in (receiver or ReceiverKnowledge(), ReceiverKnowledge())
+        prior_of(knowledge, float(points.points.angular.min()) / (2 * np.pi)).seen_by(points.points)
+        for knowledge in (receiver or BenchKnowledge(), BenchKnowledge())
     )
     found = all_solutions(points.points, _prior(chosen, known))
     contradicted = False
@@ -390,7 +391,7 @@ def _result(
     found: RatioFit,
     known: Prior,
     chosen: Model,
-    receiver: ReceiverKnowledge | None,
+    receiver: BenchKnowledge | None,
     most: float,
 ) -> RatesFit:
     records = points.records.records
@@ -401,8 +402,7 @@ def _result(
     said = answer(found, widen, freedom)
     if np.unique(np.sign(points.points.rate)).size == 1:
         said = by_profile(said, found, points.points, prior, widen, freedom, most)
-    hardly_seen = fit.covariance[0, 3, 3] > (_HARDLY * prior.sd[3]) ** 2
-    if chosen == "all" and prior.sd[3] > 0 and (hardly_seen or _left_over(points, prior) <= 0):
+    if chosen == "all" and gain_time_is_open(fit, points.points, prior, points.settings):
         said = over_gain_times(said, found, points.points, prior, widen)
     mismatch = rate_mismatch(records, said.value, float(fit.parameters[0, DRIFT]))
     common, differ = _rates_differ(points.records, said, mismatch, bool(np.ptp(points.rate_group)))
@@ -411,7 +411,7 @@ def _result(
         beats = beats_of_rates(points, mismatch, said.value, float(fit.parameters[0, 3]))
         coupling = coupling_seen(beats, said.u / said.value)
     failed = p_value < UNLIKELY
-    if differ and (failed or _left_over(points, prior) <= 0) and not records.rate_of_beat:
+    if differ and (failed or _left_over(points.points, prior, points.settings) <= 0) and not records.rate_of_beat:
         said = widened(said, _by_other_reference(points.points, said.value, common))
     said = widened(said, _OF_ALL * points.uneven)
     said = with_coupling(said, fit, records.scale_factor, failed=failed or differ, by_beats=coupling)
@@ -421,6 +421,11 @@ def _result(
     at_least = float(possible.max()) if possible.size else 0.0
     scale_factor, scale_factor_u = scale_factor_of_rates(records.scale_factor, points, fit)
     values = fit.parameters[0] * fitted
+    # upper 95 % limit of T from the model that has it too, when the chosen one has not
+    fuller: Model = "both" if chosen == "distortion" else "gain"
+    limit = float("nan")
+    if not FREE[chosen][1] and fuller in fits:
+        limit = max(fits[fuller].parameters[0, 3], 0.0) + NORMAL_95 * np.sqrt(fits[fuller].covariance[0, 3, 3])
     result = RatesFit(
         lock_in_rate=max(said.value, at_least),
         lock_in_rate_u=said.u,
@@ -434,7 +439,7 @@ def _result(
         distortion_u=float(us[2] * fitted[2]),
         gain_time=float(values[3]),
         gain_time_u=float(us[3] * fitted[3]),
-        gain_time_limit=_gain_time_limit(fits, chosen),
+        gain_time_limit=float(limit),
         lag_square=float(values[4]),
         lag_square_u=float(us[4] * fitted[4]),
         third_order=float(values[5]),
@@ -449,7 +454,16 @@ def _result(
         scale_factor_u=scale_factor_u,
         covariance=covariance,
         model=chosen,
-        models=tuple(_model_fit(name, each, points, known) for name, each in fits.items()),
+        models=tuple(
+            ModelFit(
+                name,
+                float(np.hypot(*each.parameters[0, :2])),
+                lock_in_u(each),
+                float(each.chi_square[0]),
+                _degrees(each, points, _prior(name, known)),
+            )
+            for name, each in fits.items()
+        ),
         reference=points.points.reference,
         chi_square=chi_square,
         degrees_of_freedom=degrees,
@@ -461,7 +475,7 @@ def _result(
         flags=0,
         noise_model=records.noise_model + (UNEVEN if points.uneven else "") + (ENLARGED if widen > 1 else ""),
     )
-    flags = rates_flags(result, records, _left_over(points, prior))
+    flags = rates_flags(result, records, _left_over(points.points, prior, points.settings))
     return replace(result, flags=flags | (RatesFlag.RATE_AND_BEAT_DISAGREE if differ else 0))
 
 
@@ -488,38 +502,29 @@ def _degrees(fit: RatioFit, points: Points, prior: Prior) -> int:
     """Values less unknowns; an unknown that was known as well beforehand as it is now costs none."""
     known = np.isfinite(prior.sd) & (prior.sd > 0)
     kept = np.diagonal(fit.covariance[0])[known] / prior.sd[known] ** 2
-    return _left_over(points, prior, points.rate_group.size) + round(float(np.minimum(kept, 1.0).sum()))
+    # what changes over a run is tested by its visits alone, if at all
+    left = _left_over(points.points, prior, points.rate_group.size) - int(np.sum(prior.sd[SENSES:] > 0))
+    return left + round(float(np.minimum(kept, 1.0).sum()))
 
 
-def _left_over(points: Points, prior: Prior, count: int | None = None) -> int:
-    """Two values of every setting and their third harmonics, less all unknowns: what tests the model by itself."""
-    # `count`: of all visits in the place of settings. What changes over a run is tested by them alone, if at all.
-    has_thirds = prior.sd[5] > 0 and np.any(points.points.third_weight > 0)
-    unknowns = np.sum(prior.sd > 0) if count is not None else np.sum(prior.sd[:SENSES] > 0)
-    return int((3 if has_thirds else 2) * (count or points.settings) - unknowns)
+def gain_time_is_open(fit: RatioFit, data: RatioData, prior: Prior, settings: int) -> bool:
+    """Whether so many settings leave the gain time, or the test of it, to what is known beforehand."""
+    hardly_seen = fit.covariance[0, _GAIN_TIME, _GAIN_TIME] > (_HARDLY * prior.sd[_GAIN_TIME]) ** 2
+    return bool(prior.sd[_GAIN_TIME] > 0 and (hardly_seen or _left_over(data, prior, settings) <= 0))
 
 
-def _counted(chosen: Model, points: Points, receiver: ReceiverKnowledge | None) -> frozenset[str]:
+def _left_over(data: RatioData, prior: Prior, settings: int) -> int:
+    """Two values of every setting and their third harmonics, less the unknowns that do not change over a run."""
+    has_thirds = prior.sd[5] > 0 and np.any(data.third_weight > 0)
+    return int((3 if has_thirds else 2) * settings - np.sum(prior.sd[:SENSES] > 0))
+
+
+def _counted(chosen: Model, points: Points, receiver: BenchKnowledge | None) -> frozenset[str]:
     counted = {name for name, free in zip(COUNTED, FREE[chosen], strict=False) if free}
     nothing_of_third = not np.any(points.points.third_weight > 0)
     if receiver is not None and receiver.third_order_limit == 0 and nothing_of_third:
         counted -= {"third_order"}
     return frozenset(counted)
-
-
-def _model_fit(model: Model, fit: RatioFit, points: Points, known: Prior) -> ModelFit:
-    value = float(np.hypot(*fit.parameters[0, :2]))
-    return ModelFit(
-        model, value, lock_in_u(fit), float(fit.chi_square[0]), _degrees(fit, points, _prior(model, known))
-    )
-
-
-def _gain_time_limit(fits: dict[Model, RatioFit], chosen: Model) -> float:
-    """Upper 95 % limit of T from the model that has it too, when the chosen one has not."""
-    fuller: Model = "both" if chosen == "distortion" else "gain"
-    if FREE[chosen][1] or fuller not in fits:
-        return float("nan")
-    return float(max(fits[fuller].parameters[0, 3], 0.0) + NORMAL_95 * np.sqrt(fits[fuller].covariance[0, 3, 3]))
 
 
 def _rates_differ(of: UsedRecords, said: RatesAnswer, mismatch: Floats, several: bool) -> tuple[float, bool]:

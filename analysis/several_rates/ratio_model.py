@@ -31,7 +31,7 @@ and H.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -44,7 +44,6 @@ from analysis.budget import (
     SECOND_ORDER_LIMIT,
     THIRD_ORDER_LIMIT,
     BenchKnowledge,
-    ResponseCorner,
     lowest_bandwidth,
     lowest_gain_corner,
 )
@@ -511,67 +510,31 @@ WEAK = 3.0
 matters only where the records themselves cannot tell it."""
 
 
-@dataclass(frozen=True)
-class ReceiverKnowledge:
-    """What somebody knows of the receiver and of the laser's gain; nan: nothing, then the usual bounds hold."""
-
-    # largest second and third harmonic that the receiver makes of a pure sine of the beat's size, over its
-    # amplitude
-    second_order_limit: float = math.nan
-    third_order_limit: float = math.nan
-    # -3 dB corner of the receiver (one pole), as in `BenchKnowledge`: corrected for, or its effect a limit
-    bandwidth: ResponseCorner = field(default_factory=ResponseCorner)
-    # g_c/2 pi; with an uncertainty it is a value, without one it is the lowest that is possible
-    gain_corner: ResponseCorner = field(default_factory=ResponseCorner)
-    # largest change of the backscatter phase, rad, and of the lock-in rate, relative, during a run
-    phase_change_limit: float = math.nan
-    lock_in_drift_limit: float = math.nan
-    probe_limit: float = 0.0  # of a probe's compensation, as a share of the gain
-
-    @staticmethod
-    def of(bench: BenchKnowledge) -> ReceiverKnowledge:
-        """The part of what is known of a bench that a fit over several rates uses."""
-        return ReceiverKnowledge(
-            second_order_limit=math.nan if "distortion" in bench.separated else bench.distortion_limit,
-            third_order_limit=bench.third_order_limit,
-            bandwidth=bench.bandwidth,
-            gain_corner=bench.gain,
-            phase_change_limit=bench.phase_change_limit,
-            lock_in_drift_limit=bench.lock_in_drift_limit,
-            probe_limit=bench.probe_limit,
-        )
-
-    def prior(self, slowest_beat_hz: float) -> Prior:
-        """Mean and standard deviation of every parameter of the fit before there are data."""
-        # Limits count as rectangular: half width over the root of three.
-        mean, sd = np.zeros(N_PARAMETERS), np.full(N_PARAMETERS, np.inf)
-        second, third = self.second_order_limit, self.third_order_limit
-        sd[2] = WEAK * SECOND_ORDER_LIMIT if math.isnan(second) else second / _RECTANGLE
-        mean[3], sd[3] = self._gain_time(slowest_beat_hz)
-        # far below its corner a probe that is off by a share e does what a pole of tau^2 = 2 e tau_probe^2 does
-        by_probe = 2 * self.probe_limit * _time(PROBE_HZ) ** 2 / _RECTANGLE
-        sd[4] = math.hypot(self._lag_square_u(slowest_beat_hz), by_probe)
-        sd[5] = (THIRD_ORDER_LIMIT if math.isnan(third) else third) / _RECTANGLE
-        phase, drift = self.phase_change_limit, self.lock_in_drift_limit
-        sd[PHASES] = (PHASE_CHANGE_LIMIT if math.isnan(phase) else phase) / _RECTANGLE
-        sd[DRIFT] = (LOCK_IN_DRIFT_LIMIT if math.isnan(drift) else drift) / _RECTANGLE
-        return Prior(mean, sd)
-
-    def _gain_time(self, slowest_beat_hz: float) -> tuple[float, float]:
-        corner = self.gain_corner
-        if math.isnan(corner.hz):
-            return 0.0, _time(lowest_gain_corner(slowest_beat_hz)) / _RECTANGLE
-        if corner.u_hz > 0:
-            return _time(corner.hz), _time(corner.hz) * corner.u_hz / corner.hz
-        return 0.0, _time(corner.hz) / _RECTANGLE
-
-    def _lag_square_u(self, slowest_beat_hz: float) -> float:
-        corner = self.bandwidth
-        if math.isnan(corner.hz):
-            return _time(lowest_bandwidth(slowest_beat_hz)) ** 2 / _RECTANGLE
-        if corner.corrected and math.isfinite(corner.hz):
-            return 2 * _time(corner.hz) ** 2 * corner.u_hz / corner.hz
-        return _time(corner.hz) ** 2 / _RECTANGLE
+def prior_of(bench: BenchKnowledge, slowest_beat_hz: float) -> Prior:
+    """Mean and standard deviation of every parameter of the fit before there are data; nan: the usual bounds."""
+    # Limits count as rectangular: half width over the root of three.
+    mean, sd = np.zeros(N_PARAMETERS), np.full(N_PARAMETERS, np.inf)
+    second = math.nan if "distortion" in bench.separated else bench.distortion_limit
+    sd[2] = WEAK * SECOND_ORDER_LIMIT if math.isnan(second) else second / _RECTANGLE
+    gain, corner = bench.gain, bench.bandwidth
+    # with an uncertainty it is a value, without one it is the lowest that is possible
+    longest = _time(lowest_gain_corner(slowest_beat_hz) if math.isnan(gain.hz) else gain.hz)
+    sd[3] = longest / _RECTANGLE
+    if gain.u_hz > 0 and not math.isnan(gain.hz):
+        mean[3], sd[3] = longest, longest * gain.u_hz / gain.hz
+    lag_square = _time(lowest_bandwidth(slowest_beat_hz) if math.isnan(corner.hz) else corner.hz) ** 2
+    by_pole = lag_square / _RECTANGLE
+    if corner.corrected and math.isfinite(corner.hz):
+        by_pole = 2 * lag_square * corner.u_hz / corner.hz
+    # far below its corner a probe that is off by a share e does what a pole of tau^2 = 2 e tau_probe^2 does
+    sd[4] = math.hypot(by_pole, 2 * bench.probe_limit * _time(PROBE_HZ) ** 2 / _RECTANGLE)
+    for places, stated, usual in (
+        (5, bench.third_order_limit, THIRD_ORDER_LIMIT),
+        (PHASES, bench.phase_change_limit, PHASE_CHANGE_LIMIT),
+        (DRIFT, bench.lock_in_drift_limit, LOCK_IN_DRIFT_LIMIT),
+    ):
+        sd[places] = (usual if math.isnan(stated) else stated) / _RECTANGLE
+    return Prior(mean, sd)
 
 
 def _time(corner_hz: float) -> float:

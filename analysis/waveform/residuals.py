@@ -591,17 +591,14 @@ def by_code(left: Floats, level: Floats) -> float | None:
     if min(float(chances.min()) * chances.size, of_all) < NOT_CODES:
         return None
     fine = power[degree > LAST]
-    if scipy.special.chdtrc(fine.size, fine.sum()) > NOT_CODES or _steps(mean[there]):
+    below = np.cumsum(np.append(0.0, mean[there]))
+    step = below[2 * STEP :] - 2 * below[STEP:-STEP] + below[: -2 * STEP]
+    # widths of codes do not step by the height at one place
+    one_step = np.max(step**2) > ONE_STEP * np.mean(step**2)
+    if scipy.special.chdtrc(fine.size, fine.sum()) > NOT_CODES or one_step:
         return None
     weights = np.exp(height_of - height_of.max())
     return float(np.sqrt(2 * noise * np.sum(weights * _SIZES) / weights.sum() / left.size))
-
-
-def _steps(means: Floats) -> bool:
-    """Whether errors by the height (K,) step at one place, which widths of codes do not."""
-    below = np.cumsum(np.append(0.0, means))
-    step = below[2 * STEP :] - 2 * below[STEP:-STEP] + below[: -2 * STEP]
-    return bool(np.max(step**2) > ONE_STEP * np.mean(step**2))
 
 
 STEP, ONE_STEP = 8, 12.0  # heights on either side of a step, and times by which it exceeds the others in power

@@ -18,12 +18,13 @@ import numpy as np
 from analysis.budget import (
     SECOND_ORDER_LIMIT,
     THIRD_ORDER_LIMIT,
+    BenchKnowledge,
     ResponseCorner,
     lowest_bandwidth,
     lowest_gain_corner,
 )
 from analysis.plan import run_order
-from analysis.several_rates import RatesFit, RatesFlag, RatioData, ReceiverKnowledge, Reference, fit_rate_ratios
+from analysis.several_rates import RatesFit, RatesFlag, RatioData, Reference, fit_rate_ratios
 from analysis.several_rates.ratio_model import beyond_first_order, predicted
 
 K, LOCK_IN = 2000.0, 0.05
@@ -79,7 +80,7 @@ class Scenario:
     rates: tuple[float, ...]
     records: int
     contaminants: Mapping[str, float | Draw] = field(default_factory=dict)
-    receiver: ReceiverKnowledge | None = None
+    receiver: BenchKnowledge | None = None
 
     def fits(self, trials: int) -> list[RatesFit]:
         """So many measurements and their fits."""
@@ -100,8 +101,8 @@ class Scenario:
 
 ALL_OF_IT = {"distortion": 0.005, "third_order": 0.003, "gain_time": times(60), "lag_square": times(40) ** 2}
 DEFAULT = both(3, 5.3, 9.5, 17, 30)
-FAST_CHANNEL = ReceiverKnowledge(bandwidth=ResponseCorner(np.inf))
-NO_CORNER = ReceiverKnowledge(bandwidth=ResponseCorner(np.inf), gain_corner=ResponseCorner(np.inf))
+FAST_CHANNEL = BenchKnowledge(bandwidth=ResponseCorner(np.inf))
+NO_CORNER = BenchKnowledge(bandwidth=ResponseCorner(np.inf), gain=ResponseCorner(np.inf))
 SCENARIOS = {
     "default rates": Scenario(DEFAULT, 3),
     "default, second order -40 dBc": Scenario(DEFAULT, 3, {"distortion": 0.01}),
@@ -137,7 +138,7 @@ def drawn(
     rng: np.random.Generator,
     *,
     reference: Reference = "beat",
-    receiver: ReceiverKnowledge | None = None,
+    receiver: BenchKnowledge | None = None,
     in_order: bool | None = None,
     **contaminants: float,
 ) -> RatesFit:

@@ -15,10 +15,9 @@ from dataclasses import replace
 import numpy as np
 
 from analysis import beat_signal, estimate_lock_in
-from analysis.arrays import Floats
 from analysis.budget import NOTHING_BUT_RECORDS
-from analysis.plan import OscilloscopeSteps, Plan, PlanRequest, plan_measurement
-from analysis.several_rates import ReceiverKnowledge, fit_rates
+from analysis.plan import OscilloscopeSteps, Plan, PlanRequest, plan_measurement, run_order
+from analysis.several_rates import RatesFit, fit_rates
 
 LOCK_IN, K, PHASE, DISTORTION = 0.01, 2000.0, 0.6, 0.004
 CASES: tuple[tuple[tuple[float, ...], bool], ...] = (
@@ -53,12 +52,15 @@ def planned(over: tuple[float, ...], both_senses: bool) -> Plan:
     return plan_measurement(request)
 
 
-def simulated_fits(plan: Plan, distortion: float, trials: int, rng: np.random.Generator) -> Floats:
-    """Lock-in rates that the records of a plan give, deg/s, (trials,)."""
-    estimates = []
-    for rate in plan.rates:
-        shape = rate.shape
-        count = trials * shape.records
+def simulated_fits(
+    plan: Plan, distortion: float, trials: int, rng: np.random.Generator, phase: float = PHASE
+) -> list[RatesFit]:
+    """What the records of a plan give, so many times, taken in the order of a run."""
+    estimates, visits = [], [visited for visited, _ in run_order([rate.input_rate for rate in plan.rates])]
+    for visited in visits:
+        rate = next(rate for rate in plan.rates if rate.input_rate == visited)
+        shape, records = rate.shape, math.ceil(rate.shape.records / visits.count(visited))
+        count = trials * records
         clean = beat_signal(
             np.broadcast_to(np.arange(shape.samples) * shape.sample_interval, (count, shape.samples)),
             scale_factor=K,
@@ -66,16 +68,21 @@ def simulated_fits(plan: Plan, distortion: float, trials: int, rng: np.random.Ge
             lock_in_rate=LOCK_IN,
             amplitude=shape.amplitude,
             initial_phase=rng.uniform(0, 2 * np.pi, count),
-            readout_phase=PHASE,
+            readout_phase=phase,
         )
         bent = clean + 2 * distortion / shape.amplitude * clean**2
         noisy = bent + shape.noise_rms * rng.standard_normal(clean.shape)
         codes = shape.level_spacing * np.rint(noisy / shape.level_spacing)
         every = estimate_lock_in(codes, shape.sample_interval, scale_factor=K, input_rate=rate.input_rate)
-        estimates.append(every.reshaped(trials, shape.records))
-    receiver = ReceiverKnowledge.of(plan.request.knowledge)
+        estimates.append(every.reshaped(trials, records))
+    receiver = plan.request.knowledge
     each = ([every[trial] for every in estimates] for trial in range(trials))
-    return np.array([fit_rates(one, reference="beat", receiver=receiver).lock_in_rate for one in each])
+    return [fit_rates(one, reference="beat", receiver=receiver, in_order=True) for one in each]
+
+
+def rms_error(fits: list[RatesFit]) -> float:
+    """Of the lock-in rates, over it."""
+    return float(np.sqrt(np.mean([(fit.lock_in_rate / LOCK_IN - 1) ** 2 for fit in fits])))
 
 
 def main() -> None:
@@ -86,9 +93,8 @@ def main() -> None:
     sys.stdout.write(f"{'rates':26s}{'records':>8s}{'planned u, %':>14s}{'rms error, %':>14s}" + "\n")
     for over, both in CASES:
         plan = planned(over, both)
-        errors = simulated_fits(plan, DISTORTION, trials, np.random.default_rng(7)) / LOCK_IN - 1
+        rms = 100 * rms_error(simulated_fits(plan, DISTORTION, trials, np.random.default_rng(7)))
         name = ", ".join(f"{ratio:g}" for ratio in over) + (" both" if both else "")
-        rms = 100 * float(np.sqrt(np.mean(np.square(errors))))
         promised = 100 * plan.budget.relative_u
         sys.stdout.write(f"{name:26s}{plan.records:8d}{promised:14.3f}{rms:14.3f}" + "\n")
 

@@ -707,7 +707,10 @@ class RecordQuestion:
         fields: list[str] = []
         ends: list[int] = []  # numbers of fields before each block
         for number, (text, _) in enumerate(pieces):
-            fields += _without_curve_header(_fields(text, follows_block=number > 0))
+            fields += _fields(text, follows_block=number > 0)
+            last = fields[-1].strip().lstrip(":").upper()
+            if not last or last.startswith("CURV"):  # with headers on ``:CURVE`` stands before its block
+                del fields[-1]
             ends.append(len(fields))
         if rest or not pieces:
             fields += _fields(rest, follows_block=bool(pieces))
@@ -783,9 +786,3 @@ def _fields(text: str, *, follows_block: bool) -> list[str]:
             raise TransferError(f"{text[:20]!r} follows a binary block where ';' belongs; ask again")
         text = text[1:]
     return scpi.split_parts(text)
-
-
-def _without_curve_header(fields: list[str]) -> list[str]:
-    """Drop what stands between a preamble and its block: nothing, or with headers on ``:CURVE``."""
-    last = fields[-1].strip().lstrip(":").upper()
-    return fields[:-1] if not last or last.startswith("CURV") else fields

@@ -114,17 +114,13 @@ def compose(message: Message, step: int, check: CheckRule | None) -> bytes:
             out += part
         elif part == "start":
             start = len(out)
+        elif part == "step" and message.binary:
+            out += step.to_bytes(int(message.step_format), message.byte_order, signed=True)
         elif part == "step":
-            out += _spell(step, message)
+            out += format(step, message.step_format + "d").encode("ascii")
         elif check is not None:
             out += check.of(out, start=start, binary=message.binary)
     return out
-
-
-def _spell(step: int, message: Message) -> bytes:
-    if message.binary:
-        return step.to_bytes(int(message.step_format), message.byte_order, signed=True)
-    return format(step, message.step_format + "d").encode("ascii")
 
 
 _LONGEST_NUMBER = 24  # characters of a number in text

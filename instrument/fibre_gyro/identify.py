@@ -226,7 +226,10 @@ def try_format(name: str, layout: FrameFormat, capture: Capture) -> Trial:
     reasons: Counter[str] = Counter()
     gaps = missing = damaged = explained = 0
     index = -1
-    for host_s, piece in [*_pieces(capture), (capture.seconds, b"")]:
+    data, pieces = capture.data, list(capture.pieces)
+    if not capture.timed:
+        pieces = [(0.0, data[begin : begin + _PIECE]) for begin in range(0, len(data), _PIECE)]
+    for host_s, piece in [*pieces, (capture.seconds, b"")]:
         before = index
         if index < 0 and stream.tally.received > _ENOUGH:
             break
@@ -270,13 +273,6 @@ def try_format(name: str, layout: FrameFormat, capture: Capture) -> Trial:
         doubts=doubts_about(layout, rows),
         evidence_bits=layout.evidence_bits if layout.kind == "binary" else 8 * fixed + len(layout.fields),
     )
-
-
-def _pieces(capture: Capture) -> list[tuple[float, bytes]]:
-    if capture.timed:
-        return list(capture.pieces)
-    data = capture.data
-    return [(0.0, data[begin : begin + _PIECE]) for begin in range(0, len(data), _PIECE)]
 
 
 # --------------------

@@ -195,7 +195,11 @@ def _steps(
                 reading.tell(("step", str(place), "conditions", name), text)
         for repeat, told in enumerate(repeats, start=1):
             values = settings.model_dump(mode="json")
-            _seed(values, unit, place, repeat)
+            simulation = values.get("simulation")
+            if isinstance(simulation, dict) and isinstance(simulation.get("seed"), int):
+                # noise of its own for every unit, step and repeat, the same at each time
+                own = zlib.crc32(f"{unit}/{place}/{repeat}".encode())
+                simulation["seed"] = (simulation["seed"] + own) % 2**31
             yield PlannedStep(
                 key=f"{place + 1:02d} {step.name}{told}",
                 name=step.name,
@@ -302,14 +306,6 @@ def _no_such_number(number: str, step: str, gives: Mapping[str, str]) -> str:
     like = difflib.get_close_matches(number, gives, 1)
     hint = f"did you mean {like[0]}?" if like else f"it gives {', '.join(gives)}"
     return f"{number!r} is no number that the step {step!r} gives: {hint}"
-
-
-def _seed(values: dict[str, Any], unit: str, place: int, repeat: int) -> None:
-    """Give every unit, step and repeat of a simulated bench noise of its own, the same at each time."""
-    simulation = values.get("simulation")
-    if isinstance(simulation, dict) and isinstance(simulation.get("seed"), int):
-        own = zlib.crc32(f"{unit}/{place}/{repeat}".encode())
-        simulation["seed"] = (simulation["seed"] + own) % 2**31
 
 
 # --------------------

@@ -141,8 +141,6 @@ def plan_command(plot: Path | None, config: Path | None, dither: str | None, as_
         return EXIT_OK if found["reached"] else EXIT_FAIL
     planned = make_plan(settings, chosen)
     sentences = plan_sentences(planned)
-    if settings.beams.channels:
-        sentences.append("The single beams are not counted here: with them u is mostly smaller (docs/beams.md).")
     if plot is not None:
         from station.plan import write_plan_plot
 
@@ -151,7 +149,7 @@ def plan_command(plot: Path | None, config: Path | None, dither: str | None, as_
         print_json({**plan_document(planned, sentences), "plot": str(plot) if plot is not None else None})
     else:
         _print(planned, sentences, plot)
-    return EXIT_OK if planned.plan.reached else EXIT_FAIL
+    return EXIT_OK if planned.reached else EXIT_FAIL
 
 
 def _print_dithered(found: dict[str, Any]) -> None:

@@ -619,7 +619,9 @@ class ParquetTable(Table):
             groups = [file.metadata.row_group(one) for one in range(file.num_row_groups)]
             self._sizes = [group.num_rows for group in groups]
             at = file.schema_arrow.names.index(_READ[0]) if _READ[0] in file.schema_arrow.names else 0
-            self._numbers = [_least_and_most(group.column(at).statistics) for group in groups]
+            told = [group.column(at).statistics for group in groups]
+            # anything where the file does not say
+            self._numbers = [(s.min, s.max) if s and s.has_min_max else (-math.inf, math.inf) for s in told]
             names = set(file.schema_arrow.names)
             self._outputs = [name for name in OUTPUTS if name in names]
         found = metadata.get(_METADATA)
@@ -715,13 +717,6 @@ def _outputs_of(table: Any, names: list[str]) -> list[dict[str, Floats] | None]:
             if row is not None:
                 row[name] = column[place].values.to_numpy(zero_copy_only=False)
     return found
-
-
-def _least_and_most(statistics: Any) -> tuple[float, float]:
-    """Smallest and largest value of a column of a row group; anything where the file does not say."""
-    if statistics is None or not statistics.has_min_max:
-        return -math.inf, math.inf
-    return statistics.min, statistics.max
 
 
 def is_url(place: str) -> bool:

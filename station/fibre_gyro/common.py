@@ -127,17 +127,16 @@ def clock_of(segments: Sequence[Segment]) -> HostClock | None:
 
 def angle_clock_u(segments: Sequence[Segment]) -> float:
     """Relative standard uncertainty of K that the clock gives where the output is an angle a frame; else 0."""
-    angles = [one for one in segments if one.conditions.get("output_unit") in ANGLE_UNITS]
-    each = [_interval_u(one) for one in angles]
+    angles = [one.recording for one in segments if one.conditions.get("output_unit") in ANGLE_UNITS]
+    each = [
+        clock.u_ppm / PPM
+        if (clock := one.host_clock)
+        else HOST_CLOCK_U
+        if one.clock == "polls"
+        else _UNKNOWN_CLOCK_U
+        for one in angles
+    ]
     return float(np.sqrt(np.mean(np.square(each)))) if each else 0.0
-
-
-def _interval_u(segment: Segment) -> float:
-    """Relative standard uncertainty of the interval between two outputs."""
-    clock = segment.recording.host_clock
-    if clock is not None:
-        return clock.u_ppm / PPM
-    return HOST_CLOCK_U if segment.recording.clock == "polls" else _UNKNOWN_CLOCK_U
 
 
 def _all_segments(run: SavedRun) -> list[Segment]:

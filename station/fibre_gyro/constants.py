@@ -336,7 +336,9 @@ def _c_column(column: Column, before: str, *, floats: bool) -> Iterator[str]:
         yield f"/* {column.what}, {column.unit}; a word stands for word * 2^-{words.fraction} */"
         yield f"#define {name}_WIDTH {words.width}"
         yield f"#define {name}_FRACTION {words.fraction}"
-        kind, literals = f"int{bits}_t", [_c_word(word, bits) for word in words.words]
+        kind, least = f"int{bits}_t", -(1 << (bits - 1))  # which C has no literal of
+        one = f"(INT{bits}_C({least + 1}) - 1)"
+        literals = [one if word == least else f"INT{bits}_C({word})" for word in words.words]
     if column.name == "N" or not column.at.size:
         names = [f"{name}_{identifier(f'{rate:.10g}')}" for rate in column.at] or [name]
         for place, (one, literal) in enumerate(zip(names, literals, strict=True)):
@@ -351,12 +353,6 @@ def _c_column(column: Column, before: str, *, floats: bool) -> Iterator[str]:
     for begin in range(0, len(literals), _PER_LINE):
         yield f"    {', '.join(literals[begin : begin + _PER_LINE])},"
     yield "};"
-
-
-def _c_word(word: int, bits: int) -> str:
-    if word == -(1 << (bits - 1)):
-        return f"(INT{bits}_C({word + 1}) - 1)"
-    return f"INT{bits}_C({word})"
 
 
 def csv_text(constants: Constants) -> str:

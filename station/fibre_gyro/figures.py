@@ -15,7 +15,6 @@ from analysis.fibre_gyro import (
     Repeatability,
     ResidualPattern,
     ScaleFigures,
-    StaticLevel,
     TurnOn,
     WindowMean,
     few_values_factor,
@@ -202,12 +201,16 @@ def _one_axis(
     middle, noise = float(k.mean()), np.array([one.slope_noise_u for one in each])
     scatter = repeatability(PPM * k / middle, PPM * noise / middle) if k.size > 1 else None
     coefficient, coefficient_u = _temperature_coefficient(runs, others, scatter)
+    # of few runs or points as wide as Student's t asks for
+    scale_u = few_values_factor(each[0].fit.degrees_of_freedom) * each[0].fit.slope_u
+    if k.size > 1:
+        scale_u = few_values_factor(k.size - 1) * float(np.std(k, ddof=1) / math.sqrt(k.size))
     return AxisMerit(
         axis=axis,
         runs=runs,
         at_temperatures=others,
         scale_factor=middle,
-        scale_factor_u=math.hypot(_scale_u(k, each[0]), clock_u * middle),
+        scale_factor_u=math.hypot(scale_u, clock_u * middle),
         nonlinearity_ppm=_largest([one.nonlinearity_ppm for one in each]),
         nonlinearity_of_point_ppm=_largest([one.nonlinearity_of_point_ppm for one in each]),
         asymmetry_ppm=_largest([one.asymmetry_ppm for one in each]),
@@ -225,13 +228,6 @@ def _bias_repeatability(runs: Sequence[MeritRun], settings: FogSettings) -> Repe
     horizontal = 3600 * horizontal_earth_rate_dps(settings.site.latitude_deg)
     turned = 1e-3 * settings.figures.misalignment_mrad * horizontal * math.sqrt(0.5)
     return repeatability([one.bias_dph for one in runs], [one.bias_u_dph for one in runs], turned)
-
-
-def _scale_u(k: NDArray[np.float64], alone: ScaleFigures) -> float:
-    """Standard uncertainty of the mean scale factor, for few runs or points as wide as Student's t asks for."""
-    if k.size > 1:
-        return few_values_factor(k.size - 1) * float(np.std(k, ddof=1) / math.sqrt(k.size))
-    return few_values_factor(alone.fit.degrees_of_freedom) * alone.fit.slope_u
 
 
 def _largest(values: Sequence[float]) -> float:
@@ -266,7 +262,11 @@ def _one_run(
         length = segment.recording.duration_s
         clock += length
         try:
-            mean = _mean(segment, settings)
+            if segment.conditions["rate_dps"] == 0:
+                mean = window_at_rest(segment, resolution=settings.gyro.output_resolution)
+            else:
+                check_table_rate(segment.conditions, settings.table.rate_tolerance_ppm)
+                mean = window_of_any_length(segment, settings, turns=_MANY_TURNS)
         except ValueError as error:
             left_out.append(Excluded(segment.key, str(error)))
             continue
@@ -297,7 +297,11 @@ def _one_run(
     largest = max(drifts, key=lambda one: abs(one.drift) if math.isfinite(one.drift) else math.inf)
     both = len(static) > 1
     figures = scale_figures(rate, output, u)
-    bias = [_bias(found, end_up, figures.fit.slope, settings) for end_up, found in zip(ends, drifts, strict=True)]
+    earth, scale = vertical_earth_rate_dph(settings.site.latitude_deg), figures.fit.slope
+    bias = [
+        (3600 * found.mean / scale - end_up * earth, 3600 * found.mean_u / abs(scale))
+        for end_up, found in zip(ends, drifts, strict=True)
+    ]
     bias_u = math.sqrt(sum(one**2 for _, one in bias)) / len(bias)
     return MeritRun(
         name, _temperature(segments), rate, output, u,
@@ -306,12 +310,6 @@ def _one_run(
         sum(one for one, _ in bias) / len(bias), bias_u,
         *_turn_on(switched_on, figures.fit.slope, settings, left_out), tuple(remarks),
     )  # fmt: skip
-
-
-def _bias(found: StaticLevel, end_up: int, scale: float, settings: FogSettings) -> tuple[float, float]:
-    """Bias by the static output of one end of the axis, deg/h, and its noise."""
-    earth = end_up * vertical_earth_rate_dph(settings.site.latitude_deg)
-    return 3600 * found.mean / scale - earth, 3600 * found.mean_u / abs(scale)
 
 
 def _turn_on(
@@ -415,13 +413,6 @@ def _with_a_static_output(
                 Excluded(one.key, f"there is no static output with this end of the axis {side}: take one")
             )
     return kept
-
-
-def _mean(segment: Segment, settings: FogSettings) -> WindowMean:
-    if segment.conditions["rate_dps"] == 0:
-        return window_at_rest(segment, resolution=settings.gyro.output_resolution)
-    check_table_rate(segment.conditions, settings.table.rate_tolerance_ppm)
-    return window_of_any_length(segment, settings, turns=_MANY_TURNS)
 
 
 def _temperature(segments: Sequence[Segment]) -> float:

@@ -205,7 +205,8 @@ def read_logs(
                     "purpose": purpose,
                     "source": str(row["path"]),
                     **_unit(read[1]),
-                    **_begin(read[1], row),
+                    # of a log whose times begin at 0, like those of all, nothing is said
+                    **({"begin_s": begin} if (begin := float(row.get("start_s", read[1].begin_s))) else {}),
                     **conditions,
                 },
                 _recording(read[1], row, settings.nominal_scale_factor),
@@ -312,12 +313,6 @@ def _unit(log: GyroLog) -> dict[str, Any]:
     """Unit of an output that is turned into counts by the scale factor by design; rows that one output is of."""
     averaged = {"rows_averaged": log.each} if log.each > 1 else {}
     return averaged if log.unit == "counts" else {"output_unit": log.unit, **averaged}
-
-
-def _begin(log: GyroLog, row: LogRow) -> dict[str, float]:
-    """When the output begins, by the clock of the log; nothing where its times begin at 0, like those of all."""
-    begin = float(row.get("start_s", log.begin_s))
-    return {"begin_s": begin} if begin else {}
 
 
 def _recording(log: GyroLog, row: LogRow, counts_per_dps: float) -> Recording:

@@ -478,27 +478,25 @@ def matrix_table(matrix: ThreeAxes) -> TextTable:
 
 def _axis(one: AxisResult, settings: FogSettings) -> dict[str, Any]:
     points = zip(one.runs.rate_dps, one.windows, one.fit.residual_ppm, one.keys, strict=True)
+    ladder = one.linearity
+    linearity = ladder and {
+        "terms": ladder.chosen,
+        **document(ladder, [*map(_term, ladder.value), *LADDER]),
+        "points": rows(ladder, LADDER_POINTS),
+    }
     return {
         "axis": one.axis,
         **document(one, NUMBERS),
         NOMINAL_DIFFERENCE.key(): PPM * (one.fit.scale_factor / settings.nominal_scale_factor - 1),
         **document(one, (SCALE_FACTOR_U, SCATTER)),
         "differences": _differences(one),
-        "linearity": None if one.linearity is None else _linearity(one.linearity),
+        "linearity": linearity,
         "noise_model": None if one.noise is None else one.noise.source,
         "budget": axis_budget(one, settings),
         "points": [
             {"name": key, POINT[0].key(): rate, **document(window, WINDOW), POINT[1].key(): residual}
             for rate, window, residual, key in points
         ],
-    }
-
-
-def _linearity(ladder: Linearity) -> dict[str, Any]:
-    return {
-        "terms": ladder.chosen,
-        **document(ladder, [*map(_term, ladder.value), *LADDER]),
-        "points": rows(ladder, LADDER_POINTS),
     }
 
 
@@ -654,6 +652,8 @@ def axis_budget(one: AxisResult, settings: FogSettings) -> dict[str, Any]:
     missing, far = (sum(getattr(window, name) for window in one.windows) for name in ("missing", "outliers"))
     words = sum(window.samples for window in one.windows)
     left_out = f"{missing} missing, {far} outliers, of {words}: left out"
+    stated = settings.table.rate_u_ppm is not None
+    of_table = f"table.rate_u_ppm{'' if stated else ': what the rate is off by is in K'}"
     lines = [
         Contribution("noise", "noise within the runs", parts["noise"], True, walk),
         _slow_noise(one, parts["slow noise"]),
@@ -667,7 +667,7 @@ def axis_budget(one: AxisResult, settings: FogSettings) -> dict[str, Any]:
             if fit.scatter_assumed
             else f"the residuals of {len(one.keys)} runs, {fit.degrees_of_freedom} degrees of freedom",
         ),
-        _table_rate(settings, parts["table rate"]),
+        Contribution("table rate", "rate of the table, common to all runs", parts["table rate"], stated, of_table),
         _drift(one),
         Contribution("words", "missing and outlying words", 0.0, True, left_out),
     ]
@@ -707,12 +707,6 @@ def _stated(settings: FogSettings, part: float) -> Contribution:
     )  # fmt: skip
     quantity = "irreproducibility of table rate and scale factor"
     return Contribution("irreproducibility", quantity, part, stated is not None, note)
-
-
-def _table_rate(settings: FogSettings, part: float) -> Contribution:
-    stated = settings.table.rate_u_ppm
-    note = "table.rate_u_ppm: what the rate is off by is in K" if stated is None else "table.rate_u_ppm"
-    return Contribution("table rate", "rate of the table, common to all runs", part, stated is not None, note)
 
 
 def _drift(one: AxisResult) -> Contribution:

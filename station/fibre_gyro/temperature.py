@@ -195,7 +195,10 @@ def _one_axis(
     # towards the north or the south or between: nobody says
     unseen = 1e-3 * chosen.misalignment_mrad * horizontal / np.sqrt(2.0)
     clock_u = PPM * angle_clock_u([one.segment for one in at_rates])
-    return AxisTemperature(axis, bias, float(unseen), scale, clock_u, _rate_noise(bias, course), tuple(remarks))
+    rate_noise = 0.0  # part of the variance of dT/dt that is noise: so much too small its coefficient comes out
+    if bias is not None and np.ptp(bias.points.rate) > 0:
+        rate_noise = float(np.mean(course.rate_u(bias.points.at_s) ** 2) / np.mean(bias.points.rate**2))
+    return AxisTemperature(axis, bias, float(unseen), scale, clock_u, rate_noise, tuple(remarks))
 
 
 def _model(points: TemperaturePoints, settings: FogSettings, *, with_rate: bool = True) -> Modelled | None:
@@ -245,13 +248,6 @@ def _scale_points(
             rows.append(np.array([first[0], np.hypot(first[1], bias_u[place]), *first[2:]]))
             place += 1
     return TemperaturePoints(*np.array(rows, dtype=np.float64).reshape(-1, 5).T)
-
-
-def _rate_noise(bias: Modelled | None, course: TemperatureCourse) -> float:
-    """Part of the variance of dT/dt that is noise: so much the coefficient of dT/dt comes out too small."""
-    if bias is None or not np.ptp(bias.points.rate) > 0:
-        return 0.0
-    return float(np.mean(course.rate_u(bias.points.at_s) ** 2) / np.mean(bias.points.rate**2))
 
 
 # --------------------

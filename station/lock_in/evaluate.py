@@ -38,7 +38,6 @@ from station.lock_in.settings import Settings, run_knowledge
 from station.ring_laser.records import saved_waveform
 from station.runs.progress import Progress
 from station.runs.store import SavedRecord, SavedRun
-from station.sources.batches import Source
 from station.sources.run import source_of
 from station.sources.workers import Workers
 
@@ -53,7 +52,11 @@ def evaluate_records(
     source = source_of(run)
     stated = {"scale_factor": settings.gyro.scale_factor_pulses_per_deg, "mains_hz": settings.site.mains_hz}
     chosen: dict[str, Any] = {**stated, **choices}
-    gathered = _read_pairs(source, chosen) if settings.scope.quadrature_channel else None
+    gathered = None
+    if settings.scope.quadrature_channel:
+        described = described_records(Piece(source, None, chosen))
+        _refuse_unusable(described)
+        gathered = whole_pairs(described)
     paired = gathered is not None
     if gathered is None:
         collected, pieces = Collected(run_knowledge(settings).response), pieces_of(source, chosen)
@@ -87,13 +90,6 @@ def evaluate_records(
         truth={name: fmean(values[rows]) for name, values in gathered.truth.items()} or None,
         without_beat=tuple(run.facts.get("rates_without_beat", ())),
     )
-
-
-def _read_pairs(source: Source, choices: Mapping[str, Any]) -> Gathered | None:
-    """What is known of the records of two photodiodes but their samples; ``None`` where not all are pairs."""
-    gathered = described_records(Piece(source, None, choices))
-    _refuse_unusable(gathered)
-    return whole_pairs(gathered)
 
 
 def _refuse_unusable(gathered: Gathered) -> None:

@@ -336,7 +336,7 @@ def run_knowledge(settings: Settings) -> RunKnowledge:
         table_rate_u_ppm=stated.table_rate_u_ppm if stated is not None else 0.0,
         known_tilt_deg=math.nan if settings.table.known_tilt_deg is None else settings.table.known_tilt_deg,
         known_tilt_u_deg=settings.table.known_tilt_u_deg,
-        beams=_beams_knowledge(settings),
+        beams=beams_knowledge(settings),
     )
 
 
@@ -345,7 +345,7 @@ def beams_corner_hz(settings: Settings) -> float:
     return _AC_CORNER_HZ / settings.scope.probe if settings.beams.coupling == "AC" else 0.0
 
 
-def _beams_knowledge(settings: Settings) -> BeamsKnowledge:
+def beams_knowledge(settings: Settings) -> BeamsKnowledge:
     """Collect what the settings say of the beams' channels, and of the rates beside them."""
     stated = settings.beams
     table_u = 1e-6 * settings.budget.table_rate_u_ppm if settings.budget is not None else 0.0
@@ -430,7 +430,7 @@ def knowledge_of_files(wfids: Iterable[str], method: Method, config: Path | None
     if not (said or bench.high_pass.corrected):
         bench = replace(bench, high_pass=known.bench.high_pass)
     response = channel_response(settings.front_end)
-    return replace(known, bench=bench, response=response, beams=_beams_knowledge(settings))
+    return replace(known, bench=bench, response=response, beams=beams_knowledge(settings))
 
 
 def _amplitude(level_dbc: float) -> float:

@@ -171,16 +171,13 @@ def analysis_of(choices: Mapping[str, Any]) -> str:
     wanted = {name: value for name, value in choices.items() if value is not None}
     scale = f"{wanted['scale_factor']!r} pulses/deg" if "scale_factor" in wanted else "scale factor of the source"
     rate = f"input rate {wanted['input_rate']!r} deg/s" if "input_rate" in wanted else "self-referenced"
-    channel = f"channel {_channel(wanted['front_end'])}; " if "front_end" in wanted else ""
+    channel = ""
+    if "front_end" in wanted:
+        stated = {name: value for name, value in wanted["front_end"].items() if value}
+        if points := stated.pop("response", ()):  # hundreds, which would stand in every row
+            stated["response"] = hashlib.sha256(repr(points).encode()).hexdigest()[:12]
+        channel = f"channel {' '.join(f'{name} {value}' for name, value in stated.items()) or 'as it is'}; "
     return f"{wanted.get('relation', 'exact')}; {scale}; {rate}; {channel}{software()}"
-
-
-def _channel(front_end: Mapping[str, Any]) -> str:
-    """A stated channel in few words: they stand in every row, and a measured response has hundreds of points."""
-    stated = {name: value for name, value in front_end.items() if value}
-    if points := stated.pop("response", ()):
-        stated["response"] = hashlib.sha256(repr(points).encode()).hexdigest()[:12]
-    return " ".join(f"{name} {value}" for name, value in stated.items()) or "as it is"
 
 
 @cache

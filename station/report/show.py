@@ -83,13 +83,16 @@ def render_report(evaluated: Shown) -> str:
         said = [f"{_time_of_day(one.at)}, {one.by}: {one.words}" if one.at else one.words for one in remarks.said]
         lost = [f"{remarks.unreadable} lines of its remarks cannot be read."] if remarks.unreadable else []
         sections = [Section("Said of it afterwards", sentences=(*said, *lost)), *sections]
+    state = "good" if result.standing.state == "stands" and evaluated.verdict != MARGINAL else "doubtful"
+    if result.standing.state == "fails" or evaluated.verdict in ("FAIL", "ERROR"):
+        state = "bad"
     return render_page(
         "report.html.j2",
         title=", ".join(filter(None, (evaluated.heading, facts.started_at[:10]))),
         heading=evaluated.heading,
         version=version("gyrolock"),
         simulated=facts.simulated,
-        state=_state(evaluated),
+        state=state,  # colour of the box
         value=f"{evaluated.verdict} · {result.value}" if evaluated.verdict else result.value,
         lines=(*result.lines, *(f"{one.sentence}." for one in evaluated.tested)),
         reasons=[reason for reason in result.standing.reasons if reason != result.problem],  # that stands above
@@ -99,14 +102,6 @@ def render_report(evaluated: Shown) -> str:
         footer=f"Made by gyrolock {version('gyrolock')} from the saved records of {folder}. "
         f"`gyrolock analyze {folder}` computes the numbers again.",
     )
-
-
-def _state(evaluated: Shown) -> str:
-    """Colour of the box: green where the result stands, amber in doubt, red where a limit or a check fails."""
-    state = evaluated.result.standing.state
-    if state == "fails" or evaluated.verdict in ("FAIL", "ERROR"):
-        return "bad"
-    return "good" if state == "stands" and evaluated.verdict != MARGINAL else "doubtful"
 
 
 def _remarks(run: Path) -> Remarks:

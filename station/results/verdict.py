@@ -160,7 +160,11 @@ def _outcome(
     above = math.inf if limit.at_most is None else limit.at_most - measured.value
     margin = min(below, above)
     name = number_words(limit, measured)
-    sentence = f"{verdict} {name}: {_value_words(measured)}, {limit_words(limit, measured.unit)}"
+    value = "no value"
+    if math.isfinite(measured.value):
+        interval = f" [{interval_words(measured, ', ')}]" if measured.uncertain else ""
+        value = f"{measured.digits(measured.value)}{interval} {measured.unit}".rstrip()
+    sentence = f"{verdict} {name}: {value}, {limit_words(limit, measured.unit)}"
     if math.isfinite(margin):
         sentence += f", margin {margin_words(measured, margin)} {measured.unit}".rstrip()
     if risk is not None and limit.rule == "simple":
@@ -185,13 +189,6 @@ def limit_words(limit: Limit, unit: str) -> str:
         if end is not None
     ]
     return " and ".join(ends)
-
-
-def _value_words(measured: Value) -> str:
-    if not math.isfinite(measured.value):
-        return "no value"
-    interval = f" [{interval_words(measured, ', ')}]" if measured.uncertain else ""
-    return f"{measured.digits(measured.value)}{interval} {measured.unit}".rstrip()
 
 
 def interval_words(measured: Value, between: str = " to ") -> str:

@@ -9,7 +9,9 @@ from laser_fields import integrated_fields
 
 from analysis import estimate_lock_in, fit_rates
 from analysis.arrays import NoFit
+from analysis.budget import RecordShape
 from analysis.harmonics import fit_harmonics
+from analysis.plan import expected_beams_u
 from analysis.ring_laser import TwoModeLaser, steady_beat
 from analysis.ring_laser.two_mode_laser import periodic_states
 from analysis.single_beams import BeamModulation, BeamsFlag, BeamsKnowledge, beam_modulation, fit_beams
@@ -148,6 +150,24 @@ def test_beams_settle_what_few_rates_leave_open(rates):
     width = fit.lock_in_rate_high_95 - fit.lock_in_rate_low_95
     assert width < 0.5 * (alone.lock_in_rate_high_95 - alone.lock_in_rate_low_95)
     assert abs(fit.lock_in_rate - WL) < 3.3 * fit.lock_in_rate_u
+
+
+def test_a_plan_promises_what_such_lasers_give():
+    # 24 lasers are drawn; this bench has one of them, with what it knows
+    rates = (0.03, 0.1, 0.3)
+    fit = fit_beams(*measured(Bench(laser(1.2, 0.6, 1.5)), rates, count=4), KNOWN)
+    shapes = [
+        RecordShape(SAMPLES, PERIODS / (K * np.sqrt(rate**2 - WL**2)) / SAMPLES, 90.0, 0.6, 1.0, 4)
+        for rate in rates
+    ]
+    us = expected_beams_u(shapes, rates, WL, K, knowledge=KNOWN)
+    assert np.all(np.diff(us) >= 0)
+    assert us[0] / 1.2 < fit.lock_in_rate_u < 1.2 * us[-1]
+    half, of_one = np.median(us), np.median(expected_beams_u(shapes, rates, WL, K, beams=1, knowledge=KNOWN))
+    assert 0.4 < half / fit.lock_in_rate_u < 2.5
+    assert half < of_one  # one beam alone tells less
+    many = [replace(shape, records=400) for shape in shapes]
+    assert 0.1 < np.median(expected_beams_u(many, rates, WL, K, knowledge=KNOWN)) / half < 0.9
 
 
 def test_one_beam_is_worth_something_and_a_level_is_needed_for_its_size():

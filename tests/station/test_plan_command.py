@@ -40,10 +40,17 @@ def test_plan_says_what_to_set(capsys: pytest.CaptureFixture[str]) -> None:
     assert len(document["curve"]["rate_over_lock_in"]) == len(document["curve"]["total_u_percent"])
 
 
-def test_plan_says_that_it_counts_no_beams(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_plan_counts_single_beams(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "beams.toml").write_text('[beams]\nchannels = ["CH2", "CH3"]\n')
-    document = planned(capsys, "--config", str(tmp_path / "beams.toml"), "--rates", "8", code=1)
-    assert document["reasons"][-1].startswith("The single beams are not counted here")
+    config = ("--config", str(tmp_path / "beams.toml"))
+    one_rate = planned(capsys, *config, "--rates", "8", code=1)
+    assert one_rate["with_beams"] is None  # in one sense the fit has nothing to tell the beams by
+    few = planned(capsys, *config, "--rates", "3,30")  # what the beat alone does not reach
+    beams = few["with_beams"]
+    assert few["reached"]
+    assert beams["predicted_u_percent"] < 1 < few["predicted_u_percent"]
+    assert beams["predicted_u_percent"] < beams["nine_in_ten_u_percent"]
+    assert any(text.startswith("With the single beams the same records") for text in few["reasons"])
 
 
 @pytest.mark.slow

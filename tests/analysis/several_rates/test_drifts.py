@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from analysis import RatesFlag, beat_signal, estimate_lock_in, fit_rates
+from analysis.budget import BenchKnowledge
 from analysis.plan import run_order
-from analysis.several_rates import ReceiverKnowledge
 from benchmarks.several_rates.__main__ import DEFAULT, LOCK_IN, NOISE, drawn
 
 DOWN_AND_UP = tuple(rate for rate, _ in run_order([3, 5.3, 9.5, 17, 30]))
@@ -58,7 +58,7 @@ def test_a_drift_that_hardly_shows_counts_in_most_runs():
 def test_the_order_of_a_run_costs_nothing_where_nothing_drifts():
     """The slow rates stand in the middle of the default run: its uncertainty is that of steady lasers."""
     _, drifting = pulls("default", 5)
-    steady = ReceiverKnowledge(third_order_limit=0.01, phase_change_limit=0.0, lock_in_drift_limit=0.0)
+    steady = BenchKnowledge(third_order_limit=0.01, phase_change_limit=0.0, lock_in_drift_limit=0.0)
     _, known = pulls("default", 5, receiver=steady)
     us = [[fit.lock_in_rate_u for fit in fits] for fits in (drifting, known)]
     assert np.mean(us[0]) < 1.05 * np.mean(us[1])
@@ -70,7 +70,7 @@ def test_a_drift_that_nothing_shows_counts_with_its_bound():
     rates = (30, 17, 9.5, 5.3, 3)
     counted, ignored = (
         drawn(rates, 8, 1.0, NOISE, rng, in_order=True, receiver=receiver, drift=0.02)
-        for receiver in (None, ReceiverKnowledge(third_order_limit=0.01, lock_in_drift_limit=1e-6))
+        for receiver in (None, BenchKnowledge(third_order_limit=0.01, lock_in_drift_limit=1e-6))
     )
     assert abs(counted.lock_in_rate - LOCK_IN) < 2.5 * counted.lock_in_rate_u
     assert abs(ignored.lock_in_rate - LOCK_IN) > 5 * ignored.lock_in_rate_u

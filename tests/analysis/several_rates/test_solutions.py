@@ -6,7 +6,7 @@ import scipy.optimize
 from bench_signals import WL, K, both_senses, estimates, ratios_of_slow_gain
 
 from analysis import RatesFlag, fit_rate_ratios, fit_rates
-from analysis.several_rates import ReceiverKnowledge
+from analysis.budget import BenchKnowledge
 from analysis.several_rates.ratio_model import RatioData, beyond_first_order, predicted, third_harmonic_share
 from benchmarks.several_rates.__main__ import LOCK_IN, NOISE, drawn, times
 
@@ -90,7 +90,7 @@ def test_a_narrow_valley_is_not_missed():
 def test_a_statement_that_the_records_contradict_is_not_used():
     rng = np.random.default_rng(2)
     rates = both_senses(3, 5.3, 9.5, 17, 30)
-    true, false = (ReceiverKnowledge(second_order_limit=limit) for limit in (0.02, 1e-4))
+    true, false = (BenchKnowledge(distortion_limit=limit) for limit in (0.02, 1e-4))
     believed = drawn(tuple(rates), 3, 1.0, NOISE, rng, receiver=true, distortion=0.01)
     assert not believed.flags & RatesFlag.STATED_LIMITS_EXCEEDED
     contradicted = drawn(tuple(rates), 3, 1.0, NOISE, rng, receiver=false, distortion=0.01)

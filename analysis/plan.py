@@ -168,6 +168,7 @@ _FLOOR_SHARE = 3.0
 """Where the wanted uncertainty is out of reach, noise is brought to this fraction of what remains."""
 
 _CLOSE_TO_FLOOR = 1.05
+_FALLS = 0.7  # share that four times as many records leave, where it is half by noise alone
 
 _CANDIDATES = 60
 
@@ -269,6 +270,10 @@ def _planned(request: PlanRequest, ratios: tuple[float, ...]) -> Plan:
         more = min(max((budget.combined_u / wanted) ** (1 / max(fall, 0.1)), 1.05), 4.0)
     seconds = sum(rate.shape.records * (rate.shape.duration + request.seconds_between_records) for rate in rates)
     floor = min(fixed, budget.combined_u) / request.lock_in_rate
+    first, again = budget.inputs[0], _budget(request, _rates(request, ratios, 4 * records))
+    if first.name == "separation" and again.combined_u > _FALLS * budget.combined_u:
+        open_ = replace(first, stated=False, note="not stated: bounds of what these rates hardly show")
+        budget = Budget(budget.lock_in_rate, budget.reference, (open_, *budget.inputs[1:]))
     return Plan(request, rates, budget, budget.combined_u <= wanted * (1 + 1e-6), floor, seconds)
 
 

@@ -77,7 +77,11 @@ def claim(name: str, doing: str = "", *, means: str = "") -> Claim:
     if not link:
         return Claim(None)
     plain = re.sub(r"[^A-Za-z0-9]+", "-", link)[:60]
-    path = _directory() / f"gyrolock-{plain}-{zlib.crc32(link.encode()):08x}.lock"
+    shared = _SYSTEM if os.access(_SYSTEM, os.W_OK | os.X_OK) else Path(tempfile.gettempdir())
+    path = (
+        Path(os.environ.get(DIRECTORY_VARIABLE) or shared)
+        / f"gyrolock-{plain}-{zlib.crc32(link.encode()):08x}.lock"
+    )
     with _alone:
         if path in _held:
             _held[path] = (_held[path][0], _held[path][1] + 1)
@@ -202,12 +206,6 @@ def _there(pid: int) -> bool:
     except OSError:
         return True
     return True
-
-
-def _directory() -> Path:
-    if given := os.environ.get(DIRECTORY_VARIABLE):
-        return Path(given)
-    return _SYSTEM if os.access(_SYSTEM, os.W_OK | os.X_OK) else Path(tempfile.gettempdir())
 
 
 def _user() -> str:

@@ -252,7 +252,10 @@ def study_tables(study: Study) -> list[StudyTable]:
         tables += [_causes_table(study.causes, window) for window in study.causes.together]
         tables.append(_other_causes_table(study.causes))
     if study.readings:
-        tables.append(_readings_table(study.readings))
+        rows = [(WINDOW_NAMES[r.window], 100 * r.largest, 100 * r.rms) for r in study.readings]
+        title = "Reading A2/A1 from the two highest lines, the beat lying anywhere in its bin"
+        heads, forms = ("window", "largest error, %", "rms error, %"), ("s", ".2f", ".2f")
+        tables.append(StudyTable("peak_reading", title, heads, forms, rows))
     if study.experiment is not None:
         tables.append(_experiment_table(study.experiment))
     return tables
@@ -334,14 +337,6 @@ def _experiment_table(experiment: ExperimentCauses) -> StudyTable:
     title = "The 6.8 % of the paper's experiment: each cause alone, rms, at several rates (WL = 0.01 deg/s)"
     columns = ("cause", *rates, f"largest at {experiment.over_lock_in[-1]:g} WL, %")
     return StudyTable("experiment", title, columns, ("s", *[".2f"] * (len(rates) + 1)), rows)
-
-
-def _readings_table(readings: tuple[PeakReading, ...]) -> StudyTable:
-    rows: list[Sequence[float | str]] = [(WINDOW_NAMES[r.window], 100 * r.largest, 100 * r.rms) for r in readings]
-    title = "Reading A2/A1 from the two highest lines, the beat lying anywhere in its bin"
-    return StudyTable(
-        "peak_reading", title, ("window", "largest error, %", "rms error, %"), ("s", ".2f", ".2f"), rows
-    )
 
 
 # --------------------

@@ -145,6 +145,9 @@ def _read(taken: Sequence[SavedRecord], waveforms: Sequence[Waveform], settings:
     ends = [(one.conditions.get("azimuth_start_deg"), one.conditions.get("azimuth_end_deg")) for one in taken]
     known = [(math.nan, math.nan) if None in pair else pair for pair in ends]
     azimuth = np.asarray(np.mean(np.array(known, dtype=np.float64), axis=-1))
+    clock = np.array([float(one.conditions.get("clock_s", math.nan)) for one in taken])
+    if not (np.isfinite(clock).all() and np.all(np.diff(clock) >= 0)):
+        clock = np.arange(len(taken), dtype=np.float64)  # that of a simulated sweep gone on with began again
     # with the horizontal earth rate where the azimuth is known
     tilt, latitude = settings.table.tilt_deg, settings.site.latitude_deg
     east = float(earth_rate_on_axis(latitude, tilt, 90.0))
@@ -157,17 +160,9 @@ def _read(taken: Sequence[SavedRecord], waveforms: Sequence[Waveform], settings:
         beat=beat,
         beat_u=beat_u,
         swing=swing,
-        clock=_clock(taken),
+        clock=clock,
         azimuth_known=bool(np.isfinite(azimuth).all()),
     )
-
-
-def _clock(taken: Sequence[SavedRecord]) -> Array:
-    """Time of each record, s; of a simulated sweep that was gone on with, whose clock began again, its number."""
-    clock = np.array([float(one.conditions.get("clock_s", math.nan)) for one in taken])
-    if np.isfinite(clock).all() and np.all(np.diff(clock) >= 0):
-        return clock
-    return np.arange(len(taken), dtype=np.float64)
 
 
 def _swing(volts: Array) -> float:

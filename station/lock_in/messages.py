@@ -6,7 +6,7 @@ import numpy as np
 
 from analysis import FATAL, Flag, FrequencyFit, QuadratureFlag, RatesFit, RatesFlag, describe_flag, flag_names
 from analysis.arrays import NORMAL_95
-from analysis.budget import Budget
+from analysis.budget import Budget, BudgetInput
 from analysis.frequency_method import FrequencyFlag
 from analysis.lock_in_run import ScaleFactorCheck, SeveralRates, TableCheck
 from analysis.single_beams import BeamsFlag
@@ -579,6 +579,7 @@ _REMEDIES = {
     "beat_frequency": "take four times as many records",
     "separation": "take four times as many records, or more rates, farther apart and in both senses",
 }
+_UNSEEN = "take several rates in both senses, up to 30 lock-in rates, which show them; or state them in [budget]"
 _TABLE = "measure the rate on the gyro's axis, or let each record be its own reference"
 
 _HALVED = ("noise", "quantization", "beat_frequency", "scatter", "separation")
@@ -590,11 +591,12 @@ def remedy_sentence(budget: Budget) -> str:
     first = budget.inputs[0] if budget.inputs else None
     if first is None or first.contribution == 0:
         return ""
-    after = budget.with_line(first, 0.5 if first.name in _HALVED else 0.0).expanded_u_95
+    # more records show nothing of what these rates do not show
+    after = budget.with_line(first, 0.5 if first.stated and first.name in _HALVED else 0.0).expanded_u_95
     now = budget.expanded_u_95
     return (
         f"The largest part is {first.quantity} ({100 * budget.share(first):.0f} % of the variance"
-        f"{'' if first.stated else '; nobody stated it'}): {_REMEDIES.get(first.name, _TABLE)}. "
+        f"{'' if first.stated else '; nobody stated it'}): {_remedy(first)}. "
         f"U95 would fall from {_percent(now, budget)} to {_percent(after, budget)}."
     )
 
@@ -605,10 +607,14 @@ def short_remedy(budget: Budget) -> str:
     if first is None or first.contribution == 0:
         return ""
     share = f"{100 * budget.share(first):.0f} % of the variance"
-    remedy = _REMEDIES.get(first.name, _TABLE).partition("; or ")[0]
+    remedy = _remedy(first).partition("; or ")[0]
     if first.name == "distortion":
         remedy = "take several rates in both senses (--table manual, or the table's name), which separates it"
     return f"{first.quantity} is {share}: {remedy}"
+
+
+def _remedy(line: BudgetInput) -> str:
+    return _UNSEEN if line.name == "separation" and not line.stated else _REMEDIES.get(line.name, _TABLE)
 
 
 def _percent(u_95: float, budget: Budget) -> str:

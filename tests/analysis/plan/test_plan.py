@@ -149,7 +149,7 @@ def test_two_rates_in_one_sense_promise_no_more_than_two_solutions_allow() -> No
     assert one.floor_u > 2 * both.floor_u
     more = replace(one.request, wanted_u=one.floor_u / 2)
     assert not plan_measurement(more).reached
-    assert one.budget.inputs[0].name == "separation"
+    assert one.budget.inputs[0].name == "separation" and not one.budget.inputs[0].stated
 
 
 def test_one_rate_in_one_sense_cannot_separate() -> None:

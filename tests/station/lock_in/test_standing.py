@@ -12,7 +12,7 @@ import pytest
 
 from analysis import Flag
 from analysis.budget import Budget, BudgetInput
-from station.lock_in.messages import remedy_sentence
+from station.lock_in.messages import remedy_sentence, short_remedy
 from station.lock_in.result import assumed_sentence, doubt_sentence, result
 from station.report.show import render_report
 from station.results.result import Result
@@ -160,6 +160,16 @@ def test_noise_is_halved_by_four_times_as_many_records() -> None:
     assert "take four times as many records" in said
     assert "nobody stated it" not in said
     assert said.endswith("U95 would fall from 9.8 % to 7.1 %.")  # hypot(2, 3) = 3.6
+
+
+def test_more_records_do_not_show_what_these_rates_do_not() -> None:
+    budget = Budget(1.0, "beat", (line("separation", 0.04, stated=False), line("noise", 0.03)))
+    said = remedy_sentence(budget)
+    assert "several rates in both senses" in said
+    assert "as many records" not in said + short_remedy(budget)
+    assert said.endswith("U95 would fall from 9.8 % to 5.9 %.")
+    shown = Budget(1.0, "beat", (line("separation", 0.04), line("noise", 0.03)))
+    assert "as many records" in remedy_sentence(shown)
 
 
 def test_what_was_assumed_is_named_with_its_bound() -> None:

@@ -11,6 +11,7 @@ from station.controllers import ControllersSettings
 from station.settings import Finite, NotNegative, Positive, SettingsSection, SiteSettings
 
 Dbc = Annotated[float, Field(ge=-200, le=0)]
+Channel = Literal["CH1", "CH2", "CH3", "CH4"]
 
 
 class RingLaserSettings(SettingsSection):
@@ -25,8 +26,8 @@ class ScopeSettings(SettingsSection):
     """The oscilloscope and its input."""
 
     resource: str
-    channel: Annotated[str, Field(pattern=r"^CH[1-4]$")]
-    quadrature_channel: Annotated[str, Field(pattern=r"^(CH[1-4])?$")] = ""
+    channel: Channel
+    quadrature_channel: Literal["", "CH1", "CH2", "CH3", "CH4"] = ""
     coupling: Literal["DC", "AC"]
     probe: Literal[1, 10, 100, 1000]
     bandwidth_limit: bool
@@ -37,7 +38,7 @@ class ScopeSettings(SettingsSection):
 class BeamsSettings(SettingsSection):
     """Photodiodes on the single beams, and what is known of their channels; 0 and empty: not known."""
 
-    channels: Annotated[tuple[Annotated[str, Field(pattern=r"^CH[1-4]$")], ...], Field(max_length=2)] = ()
+    channels: Annotated[tuple[Channel, ...], Field(max_length=2)] = ()
     coupling: Literal["DC", "AC"] = "AC"
     level_v: Annotated[tuple[Positive, ...], Field(max_length=2)] = ()
     level_u_percent: NotNegative = 0.0

@@ -385,7 +385,7 @@ def plan_beams(plan: Plan, beams: int, knowledge: BeamsKnowledge) -> tuple[float
         receiver=request.knowledge,
     )
     fixed = [line.contribution for line in plan.budget.inputs if line.name in ("scale_factor", "time_base")]
-    both = np.quantile(us, [0.5, 0.9]) if us.size else [math.inf, math.inf]
+    both = np.quantile(us, [0.5, 0.9]) if us.size > _DRAWS / 2 else [math.inf, math.inf]
     half, most = (math.hypot(u, *fixed) / request.lock_in_rate for u in both)
     return half, most
 

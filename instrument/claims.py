@@ -78,10 +78,8 @@ def claim(name: str, doing: str = "", *, means: str = "") -> Claim:
         return Claim(None)
     plain = re.sub(r"[^A-Za-z0-9]+", "-", link)[:60]
     shared = _SYSTEM if os.access(_SYSTEM, os.W_OK | os.X_OK) else Path(tempfile.gettempdir())
-    path = (
-        Path(os.environ.get(DIRECTORY_VARIABLE) or shared)
-        / f"gyrolock-{plain}-{zlib.crc32(link.encode()):08x}.lock"
-    )
+    folder = Path(os.environ.get(DIRECTORY_VARIABLE) or shared)
+    path = folder / f"gyrolock-{plain}-{zlib.crc32(link.encode()):08x}.lock"
     with _alone:
         if path in _held:
             _held[path] = (_held[path][0], _held[path][1] + 1)

@@ -127,15 +127,12 @@ def clock_of(segments: Sequence[Segment]) -> HostClock | None:
 
 def angle_clock_u(segments: Sequence[Segment]) -> float:
     """Relative standard uncertainty of K that the clock gives where the output is an angle a frame; else 0."""
-    angles = [one.recording for one in segments if one.conditions.get("output_unit") in ANGLE_UNITS]
-    each = [
-        clock.u_ppm / PPM
-        if (clock := one.host_clock)
-        else HOST_CLOCK_U
-        if one.clock == "polls"
-        else _UNKNOWN_CLOCK_U
-        for one in angles
-    ]
+    each = []
+    for one in segments:
+        if one.conditions.get("output_unit") in ANGLE_UNITS:
+            clock = one.recording.host_clock
+            by_kind = HOST_CLOCK_U if one.recording.clock == "polls" else _UNKNOWN_CLOCK_U
+            each.append(by_kind if clock is None else clock.u_ppm / PPM)
     return float(np.sqrt(np.mean(np.square(each)))) if each else 0.0
 
 

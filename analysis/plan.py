@@ -270,10 +270,11 @@ def _planned(request: PlanRequest, ratios: tuple[float, ...]) -> Plan:
         more = min(max((budget.combined_u / wanted) ** (1 / max(fall, 0.1)), 1.05), 4.0)
     seconds = sum(rate.shape.records * (rate.shape.duration + request.seconds_between_records) for rate in rates)
     floor = min(fixed, budget.combined_u) / request.lock_in_rate
-    first, again = budget.inputs[0], _budget(request, _rates(request, ratios, 4 * records))
-    if first.name == "separation" and again.combined_u > _FALLS * budget.combined_u:
-        open_ = replace(first, stated=False, note="not stated: bounds of what these rates hardly show")
-        budget = Budget(budget.lock_in_rate, budget.reference, (open_, *budget.inputs[1:]))
+    if (first := budget.inputs[0]).name == "separation":
+        again = _budget(request, _rates(request, ratios, 4 * records))
+        if again.combined_u > _FALLS * budget.combined_u:
+            open_ = replace(first, stated=False, note="not stated: bounds of what these rates hardly show")
+            budget = Budget(budget.lock_in_rate, budget.reference, (open_, *budget.inputs[1:]))
     return Plan(request, rates, budget, budget.combined_u <= wanted * (1 + 1e-6), floor, seconds)
 
 
@@ -368,10 +369,10 @@ def _joint_u(request: PlanRequest, rates: tuple[PlannedRate, ...], *, all_else_k
 def plan_beams(plan: Plan, beams: int, knowledge: BeamsKnowledge) -> tuple[float, float] | None:
     """Relative u that the records of a plan give with single beams: half of all lasers less, and nine in ten.
 
-    ``None`` at one rate in one sense, where they tell nothing.
+    ``None`` without beams, and at one rate in one sense, where they tell nothing.
     """
     request = plan.request
-    if not request.distortion_separated:
+    if not (beams and request.distortion_separated):
         return None
     visits = [rate for rate, _ in run_order([rate.input_rate for rate in plan.rates])]
     shape_of = {rate.input_rate: rate.shape for rate in plan.rates}

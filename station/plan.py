@@ -83,8 +83,7 @@ class PlannedMeasurement:
     """A plan with what surrounds it."""
 
     plan: Plan
-    # (float, float): Lock-in rate in deg/s, and the relative uncertainty that the same settings give if that is
-    # the true one
+    # lock-in rate, deg/s, and the relative uncertainty that the same settings give if it is the true one
     elsewhere: tuple[tuple[float, float], ...]
     # relative uncertainties that the same records give with single beams, of half of all lasers and of nine in ten
     beams: tuple[float, float] | None = None
@@ -115,10 +114,8 @@ def make_plan(settings: Settings, options: PlanOptions) -> PlannedMeasurement:
         except ValueError:  # locked
             u = math.inf
         found.append((true, u))
-    beams = len(settings.beams.channels)
-    return PlannedMeasurement(
-        plan, tuple(found), plan_beams(plan, beams, beams_knowledge(settings)) if beams else None
-    )
+    beams = plan_beams(plan, len(settings.beams.channels), beams_knowledge(settings))
+    return PlannedMeasurement(plan, tuple(found), beams)
 
 
 def plan_request(settings: Settings, options: PlanOptions) -> PlanRequest:
@@ -298,8 +295,7 @@ def _lock_in(settings: Settings) -> Prediction:
         records = records_at_each(settings, steps)
         request = plan_request(settings, PlanOptions(rates=ratios, both_senses=both))
         planned = plan_of_records(request, records)
-        number = len(settings.beams.channels)
-        beams = plan_beams(planned, number, beams_knowledge(settings)) if number else None
+        beams = plan_beams(planned, len(settings.beams.channels), beams_knowledge(settings))
     except (ValueError, NoUsableSignal) as error:
         return Prediction(None, why_not=str(error))
     each = planned.duration_s / sum(rate.shape.records for rate in planned.rates)
@@ -406,7 +402,10 @@ def plan_sentences(planned: PlannedMeasurement) -> list[str]:
         said.append(
             f"At a lock-in rate of {locked[0]} deg/s the gyro would be locked at this rate: choose a faster one."
         )
-    return [_outcome(plan), *_beams(planned), *_why_not_faster(plan), *_senses(plan), *said, *_warnings(plan)]
+    first = [_outcome(plan), *_beams(planned)]
+    if planned.reached and not plan.reached:  # by the beams: that is what is asked for
+        first = [first[1], f"By the beat alone {first[0]}"]
+    return [*first, *_why_not_faster(plan), *_senses(plan), *said, *_warnings(plan)]
 
 
 def rate_words(rate: PlannedRate) -> tuple[str, ...]:
@@ -452,8 +451,9 @@ def _beams(planned: PlannedMeasurement) -> list[str]:
     if not math.isfinite(planned.beams[0]):
         return ["With the single beams: the slowest rate is too slow for most lasers; the beat alone counts."]
     half, most = (f"{100 * u:.2g} %" for u in planned.beams)
+    total = planned.plan.records * len(planned.plan.rates)  # never one: they tell nothing at one rate
     return [
-        f"With the single beams the same records: {half} (k = 1) for half of all lasers, {most} for nine in ten."
+        f"With the single beams {total} records: {half} (k = 1) for half of all lasers, {most} for nine in ten."
     ]
 
 

@@ -91,7 +91,8 @@ def mistakes(path: Path, error: ValidationError, model: type[BaseModel]) -> str:
 
 
 def _told(mistake: Mapping[str, Any]) -> str:
-    return f"{mistake['msg'][0].lower()}{mistake['msg'][1:]}, not {_shown(mistake['input'])}"
+    said = mistake["msg"].partition(" after validation")[0]
+    return f"{said[0].lower()}{said[1:]}, not {_shown(mistake['input'])}"
 
 
 def _shown(value: object) -> str:

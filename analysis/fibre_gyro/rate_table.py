@@ -87,8 +87,8 @@ def fit_axis(
     of_drift = float(scatter.estimator(plain)[0] @ design[:, -1] * values[-1]) if drifts else 0.0
     contributions = {**scatter.parts(estimator[0]), "table rate": abs(k) * table_rate_u_ppm / _PPM}
     # what the residuals show beyond the noise of the means is irreproducibility from run to run
-    beyond = float(np.sum(residual**2 - runs.mean_u**2 * freedom / residual.size)) / max(freedom, 1)
-    excess = beyond if freedom else 0.0
+    beyond = float(np.sum(residual**2 - runs.mean_u**2 * freedom / residual.size))
+    excess = beyond / freedom if freedom >= 1 else 0.0
     return AxisFit(
         scale_factor=k,
         scale_factor_u=float(np.hypot(scatter.standard_u(estimator[0]), contributions["table rate"])),

@@ -289,8 +289,8 @@ def outliers(words: ArrayLike) -> Bools:
     spread = 1.4826 * float(np.median(known)) if known.size else 0.0
     if known.size == 0 or (spread > 0 and float(known.max()) <= _FAR_OUT * spread):
         return none
-    words = np.unique(values[np.isfinite(values)])
-    step = float(np.diff(words).min()) if words.size > 1 else 0.0
+    levels = np.unique(values[np.isfinite(values)])
+    step = float(np.diff(levels).min()) if levels.size > 1 else 0.0
     far = left > max(_FAR_OUT * spread, _FAR_OUT / 3.3 * float(np.quantile(known, 0.9)), _STEPS * step)
     return far if 0 < far.sum() <= max(3.0, _FEW * values.size) else none
 

@@ -621,9 +621,7 @@ class ParquetTable(Table):
             at = file.schema_arrow.names.index(_READ[0]) if _READ[0] in file.schema_arrow.names else 0
             told = [group.column(at).statistics for group in groups]
             # anything where the file does not say
-            self._numbers = [
-                (s.min, s.max) if s is not None and s.has_min_max else (-math.inf, math.inf) for s in told
-            ]
+            self._numbers = [(s.min, s.max) if s and s.has_min_max else (-math.inf, math.inf) for s in told]
             names = set(file.schema_arrow.names)
             self._outputs = [name for name in OUTPUTS if name in names]
         found = metadata.get(_METADATA)

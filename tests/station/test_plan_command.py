@@ -12,6 +12,7 @@ from station.cli import main
 from station.lock_in.report import budget_svg
 from station.lock_in.result import BUDGET_COLUMNS, budget_document, budget_rows, budget_sentences
 from station.lock_in.settings import bench_knowledge, load_settings
+from station.plan import predict
 from station.results.result import plain
 from tests.ideal_bench import ideal_bench
 
@@ -50,7 +51,18 @@ def test_plan_counts_single_beams(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert few["reached"]
     assert beams["predicted_u_percent"] < 1 < few["predicted_u_percent"]
     assert beams["predicted_u_percent"] < beams["nine_in_ten_u_percent"]
-    assert any(text.startswith("With the single beams the same records") for text in few["reasons"])
+    assert few["reasons"][0].startswith(f"With the single beams {few['records']} records: ")
+    assert few["reasons"][1].startswith("By the beat alone 1 % cannot be reached: ")
+    of_step = {
+        "measurement": {"rates_over_lock_in": [3.0, 30.0], "both_senses": False},
+        "beams": {"channels": ["CH2"]},
+    }
+    shipped = load_settings(None).model_dump(mode="json")
+    with_one, alone = (
+        predict("measure", {**shipped, **{name: {**shipped[name], **of_step[name]} for name in names}})
+        for names in (("measurement", "beams"), ("measurement",))
+    )
+    assert with_one.u < alone.u / 2  # a campaign counts them too
 
 
 @pytest.mark.slow

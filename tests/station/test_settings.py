@@ -90,6 +90,7 @@ def test_every_mistake_is_named_with_its_place(tmp_path: Path) -> None:
         (b"scope = 3\n", "scope"),
         (b"[table]\nkind = 'manual'\n", "table.kind"),
         (b"[gyro]\nscale_factor_pulses_per_deg = inf\n", "scale_factor_pulses_per_deg"),
+        (b"[beams]\nchannels = ['CH2', 'CH3', 'CH4']\n", "at most 2 items, not ['CH2', 'CH3', 'CH4']"),
         (b"[scope]\nchannel = 'CH9'\n", "scope.channel (line 2): input should be 'CH1', 'CH2', 'CH3' or 'CH4'"),
     ],
 )

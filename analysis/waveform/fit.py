@@ -277,6 +277,7 @@ def _judged(
         report.misfit[rows] = np.linalg.norm(every, axis=0)
         report.flags[rows[moved.drift_chance < UNLIKELY]] |= Flag.PARTS_DIFFER
         report.flags[rows[sure | moved.vibrates]] |= Flag.MISFIT
+        compared[rows] |= (moved.walk + report.misfit[rows] == 0) & (report.flags[rows] == int(Flag.RATE_WANDER))
     examine_lines(report, left, n_samples, series, ~moving)
     flags |= report.flags
     asked = ~moving & ~fatal & (report.uneven | (report.misfit > 0) | ((report.flags & int(Flag.MISFIT)) != 0))
@@ -384,33 +385,39 @@ def _followed(
         if not some.size:
             continue
         values, mask = records.values[some].astype(np.float64), masks.of_all(some).astype(np.float64)
-        phase: Floats | None = None
+        undone, tried, phase = np.ones(some.size, dtype=bool), np.arange(some.size), None
         for by_crests in (False, True):
             if by_crests:  # a motion so wide that the fundamental has no band of its own is read from them
-                seen = [first_phase(one, its_mask) for one, its_mask in zip(values, mask, strict=True)]
-                known = np.array([found is not None for found in seen], dtype=bool)
-                some, values, mask = some[known], values[known], mask[known]
-                phase = np.array([found.phase for found in seen if found])
-            if not some.size:
+                seen = {place: first_phase(values[place], mask[place]) for place in tried.tolist()}
+                crests = {place: found.phase for place, found in seen.items() if found}
+                tried = never_alone(np.array(list(crests), dtype=np.intp))
+                phase = np.array([crests[place] for place in tried.tolist()])
+            if not tried.size:
                 break
-            moved, is_smooth = smooth_motions(values, mask, phase)
-            again = left_by_motion(some, moved)
-            done = is_smooth & (((again.flags | moved.flags) & int(FATAL | Flag.MISFIT)) == 0)
+            rows = some[tried]
+            moved, is_smooth = smooth_motions(values[tried], mask[tried], phase)
+            again = left_by_motion(rows, moved)
+            failed = ((again.flags | moved.flags) & int(FATAL | Flag.MISFIT)) != 0
             coloured = (again.flags & int(Flag.COLOURED_NOISE)) != 0
-            done &= ~(coloured & (again.excess.max(axis=1) > COLOURFUL))
+            coloured &= again.excess.max(axis=1) > COLOURFUL
+            done = is_smooth & ~failed & ~coloured
             explained = (moved.flags & int(Flag.RATE_WANDER)) != 0
-            explained |= moved.variance <= WORTH_MOVING * variance[some]
+            explained |= moved.variance <= WORTH_MOVING * variance[rows]
             taken = never_alone(np.flatnonzero(done & explained))
             if taken.size:
-                yield some[taken], moved.take(taken), again.take(taken), False, True
-            undone = np.flatnonzero(~done)
-            undone = never_alone(undone[np.unique(some[undone], return_index=True)[1]])
-            some, values, mask = some[undone], values[undone], mask[undone]
+                yield rows[taken], moved.take(taken), again.take(taken), False, True
+            undone[tried[done]] = False
+            # one that fits and is too quick for it has been read well enough
+            tried = np.unique(tried[failed | (coloured & ~is_smooth)])
+        some, values, mask = some[undone], values[undone], mask[undone]
+        fits: dict[bytes, MovingFits | None] = {}  # a record that is alone stands here twice
         for place in np.unique(some, return_index=True)[1]:
-            row = some[[place]]
+            row, key = some[[place]], values[place].tobytes() + mask[place].tobytes()
             if not records.exact[row[0]]:
                 continue
-            exactly = fit_moving_rate(values[place], mask[place])
+            if key not in fits:
+                fits[key] = fit_moving_rate(values[place], mask[place])
+            exactly = fits[key]
             if exactly is None or exactly.variance[0] > WORTH_MOVING * variance[row[0]]:
                 continue
             again = left_by_motion(row, exactly)

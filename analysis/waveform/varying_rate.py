@@ -32,8 +32,7 @@ ROOM, ROOM_AT_LEAST = 1.25, 2
 """So many more polynomials of the rate are kept than the criterion asks for: it is content with a fault as large
 as the noise."""
 
-LOOSENESS = (1.0, 1e-2, 1e-4, 1e-6)
-EXACT = 1e-8
+FREE, LOOSE, TIGHT, EXACT = 1.0, 1e-2, 1e-6, 1e-8
 """Looseness times the squared amplitude, in turn. Over 2500 samples the last one moves the phase by a thousandth
 of what the noise leaves unknown."""
 
@@ -41,7 +40,9 @@ ITERATIONS, LAST_ITERATIONS = 4, 8
 
 NOISY_RATE = 12.0  # -2 log likelihood by which noise of the rate must explain a record better than an exact motion
 
-COARSEST, FINEST = 1.2, 0.1
+ALIKE = 0.1  # the same, by which two such fits are not worth telling apart
+
+COARSEST, FINEST = 1.2, 0.5
 """Logarithm of the looseness to which such noise is found, before the terms are chosen, and after."""
 
 SILENT = 1e-6
@@ -109,22 +110,20 @@ def fit_moving_rate(values: Floats, mask: Floats) -> MovingFits | None:
 def _fitted(record: SampledRecord, seen: FirstPhase) -> tuple[Fitted, Terms, bool]:
     """The fit, the terms that the data ask for, and whether the rate is noisy."""
     scale = float(np.mean(seen.amplitude)) ** 2
-    rough = _roughly(SampledRecord(record.values, record.mask * seen.trusted), seen, scale)
-    trajectory = rough.trajectory if seen.step is None else _with_step_moved(record, rough.trajectory, seen)
-    best = last = record.fit(trajectory, LOOSENESS[0] / scale, ITERATIONS)
-    for looseness in LOOSENESS[1:]:
-        last = record.fit(last.trajectory, looseness / scale, ITERATIONS)
-        if last.evidence > best.evidence + NOISY_RATE:
-            break
-        best = min(best, last, key=lambda fitted: fitted.evidence)
-    noisy = last.evidence > best.evidence + NOISY_RATE
-    best = best if noisy else last
+    loose = _roughly(SampledRecord(record.values, record.mask * seen.trusted), seen, scale)
+    if seen.step is not None:
+        moved = _with_step_moved(record, loose.trajectory, seen)
+        loose = record.fit(moved, LOOSE / scale, ITERATIONS)
+    tight = record.fit(loose.trajectory, TIGHT / scale, LAST_ITERATIONS)
+    noisy = tight.evidence > loose.evidence + NOISY_RATE
+    best = loose if noisy else tight
     needed = terms_needed(best, record.count)
     kept = replace(needed, rate=min(int(ROOM * needed.rate) + ROOM_AT_LEAST, best.trajectory.terms.rate))
-    again = record.fit(with_terms(best, kept), best.looseness, ITERATIONS)
     if noisy:
-        return *_with_noise_of_the_rate(record, again), True
-    return record.fit(again.trajectory, EXACT / scale, LAST_ITERATIONS), needed, False
+        return *_with_noise_of_the_rate(
+            record, record.fit(with_terms(best, kept), best.looseness, ITERATIONS)
+        ), True
+    return record.fit(with_terms(best, kept), EXACT / scale, LAST_ITERATIONS), needed, False
 
 
 def _roughly(record: SampledRecord, seen: FirstPhase, scale: float) -> Fitted:
@@ -133,7 +132,7 @@ def _roughly(record: SampledRecord, seen: FirstPhase, scale: float) -> Fitted:
     of_amplitude, of_offset = record.columns(slow)
     amplitude = np.linalg.lstsq(of_amplitude.T, seen.amplitude, rcond=None)[0]
     offset = np.linalg.lstsq(of_offset.T, seen.offset, rcond=None)[0]
-    for looseness in LOOSENESS[:2]:
+    for looseness in (FREE, LOOSE):
         periods = (phase[-1] - phase[0]) / (2 * np.pi)
         most = int(
             min(
@@ -168,7 +167,7 @@ def _with_step_moved(record: SampledRecord, trajectory: Trajectory, seen: FirstP
 def _with_noise_of_the_rate(record: SampledRecord, fitted: Fitted) -> tuple[Fitted, Terms]:
     """The fit at the looseness of greatest likelihood, and the terms that are needed beside such noise."""
     # No more of them are kept: the noise takes up what they leave.
-    width = float(np.log(LOOSENESS[0] / LOOSENESS[1])) / 2
+    width = float(np.log(FREE / LOOSE)) / 2
     roughly = _likeliest(record, fitted, width, COARSEST)
     needed = terms_needed(roughly, record.count)
     again = record.fit(with_terms(roughly, needed), roughly.looseness, ITERATIONS)
@@ -178,14 +177,23 @@ def _with_noise_of_the_rate(record: SampledRecord, fitted: Fitted) -> tuple[Fitt
 def _likeliest(record: SampledRecord, fitted: Fitted, width: float, finest: float) -> Fitted:
     """The fit at the looseness of greatest likelihood; `width` and `finest` are steps of its logarithm."""
     tried, middle = {0.0: fitted}, 0.0
+
+    def at(place: float) -> float:
+        if place not in tried:
+            near = tried[middle].trajectory
+            tried[place] = record.fit(near, fitted.looseness * np.exp(place), ITERATIONS)
+        return tried[place].evidence
+
+    vertex = middle
     while width > finest:
-        for place in (middle - width, middle + width):
-            if place not in tried:
-                near = tried[middle].trajectory
-                tried[place] = record.fit(near, fitted.looseness * np.exp(place), ITERATIONS)
-        best = min(tried, key=lambda place: tried[place].evidence)
-        width, middle = width / 2 if best == middle else width, best
-    return tried[middle]
+        below, above = at(middle - width) - at(middle), at(middle + width) - at(middle)
+        if min(below, above) < -ALIKE:
+            middle += width if above < below else -width
+        else:  # a parabola through the three
+            vertex = middle + width / 2 * (below - above) / max(below + above, ALIKE)
+            width /= 2
+    at(vertex)
+    return min(tried.values(), key=lambda fit: fit.evidence)
 
 
 FASTEST = 0.1

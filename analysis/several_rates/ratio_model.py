@@ -81,6 +81,12 @@ class RatioData:
             third_weight=self.third_weight * weights,
         )
 
+    def take(self, sets: Indices) -> RatioData:
+        """Some of the sets."""
+        if len(self.whitening) == 1:
+            return self
+        return replace(self, whitening=self.whitening[sets], third_weight=self.third_weight[sets])
+
 
 @dataclass(frozen=True)
 class Prior:
@@ -294,6 +300,7 @@ _PROFILE_ITERATIONS = 25
 
 _NO_WAY_DOWN = 1e5  # damping with which a step that still does not go down ends the search
 
+_SHIFT = 1e-6  # of a way, from which a slope is taken
 _CLOSE = 1e-3
 _LARGEST_STEP = 0.999  # the slowest rate with a beat is faster than the lock-in rate by at least this share
 
@@ -328,21 +335,26 @@ def _minimised(
     data: RatioData, prior: Prior, point: Floats, iterations: int, held: Floats | None = None
 ) -> RatioFit:
     """Damped Gauss-Newton; `held` (B,): lock-in rates that stay, deg/s."""
-    here = _linearised(point, data, prior, held)
-    damping = np.full(len(point), 1e-4)
+    found = _linearised(point, data, prior, held)
+    live, damping = np.arange(len(point)), np.full(len(point), 1e-4)
     for _ in range(iterations):
-        ridge = damping[:, np.newaxis, np.newaxis] * np.eye(here.ways.shape[1])
+        here, some = found.take(live), data.take(live)
+        ridge = damping[live, np.newaxis, np.newaxis] * np.eye(here.ways.shape[1])
         step = here.unit * np.linalg.solve(here.normal + ridge, here.gradient[..., np.newaxis])[..., 0]
         moved = here.point + np.einsum("bw,bwp->bp", step, here.ways)
-        trial = _linearised(_bounded(moved, data) if held is None else _of_size(moved, held), data, prior, held)
+        sizes = None if held is None else held[live]
+        moved = _bounded(moved, some) if sizes is None else _of_size(moved, sizes)
+        trial = _linearised(moved, some, prior, sizes)
         better = trial.cost <= here.cost
         settled = np.abs(here.cost - trial.cost) <= SETTLED * (1 + here.cost)
-        settled |= ~better & (damping >= _NO_WAY_DOWN)
-        here = trial.where(better, here)
-        damping = np.where(better, np.maximum(damping * 0.2, 1e-13), np.minimum(damping * 8, 1e6))
-        if np.all(settled):
+        settled |= ~better & (damping[live] >= _NO_WAY_DOWN)
+        found.put(live[better], trial.take(better))
+        softer, harder = np.maximum(damping[live] * 0.2, 1e-13), np.minimum(damping[live] * 8, 1e6)
+        damping[live] = np.where(better, softer, harder)
+        live = live[~settled]
+        if not live.size:
             break
-    return _finished(here)
+    return _finished(found)
 
 
 @dataclass(frozen=True)
@@ -445,15 +457,15 @@ def _ways(point: Floats, data: RatioData, chosen: Indices, held: Floats | None) 
 def _linearised(point: Floats, data: RatioData, prior: Prior, held: Floats | None) -> _Linearised:
     """Normal matrix scaled to a unit diagonal, gradient in the same units, and the units (B, ways)."""
     ways = _ways(point, data, np.flatnonzero(prior.sd > 0), held)
-    shift = 1e-5 * ways
-    both = _residual(np.concatenate([point - shift, point + shift, point[np.newaxis]]), data, prior)
-    jacobian = np.moveaxis(both[: len(ways)] - both[len(ways) : -1], 0, -1) / 2e-5
+    every = _residual(np.concatenate([point + _SHIFT * ways, point[np.newaxis]]), data, prior)
+    left = every[-1]
+    jacobian = np.moveaxis((left - every[:-1]) / _SHIFT, 0, -1)
     size = np.linalg.norm(jacobian, axis=1)
     size = np.where(size > 0, size, 1.0)
     jacobian = jacobian / size[:, np.newaxis, :]
     normal = jacobian.swapaxes(-1, -2) @ jacobian
-    gradient = np.einsum("bnp,bn->bp", jacobian, both[-1])
-    return _Linearised(point, ways.swapaxes(0, 1), np.sum(both[-1] ** 2, axis=-1), normal, gradient, 1 / size)
+    gradient = np.einsum("bnp,bn->bp", jacobian, left)
+    return _Linearised(point, ways.swapaxes(0, 1), np.sum(left**2, axis=-1), normal, gradient, 1 / size)
 
 
 def _starts(data: RatioData, prior: Prior) -> Floats:

@@ -38,7 +38,7 @@ test-lowest: $(LOWEST)/.ready
 
 # What takes long and has a shorter sibling above.
 test-slow: $(READY)
-	$(BIN)/python -m pytest -n 2 -m slow --timeout 1800
+	$(BIN)/python -m pytest -n 4 --dist worksteal --randomly-seed $(ORDER) -m slow --timeout 1800
 
 # Property tests alone, each searching freely from a new seed; `make explore SEED=...` goes the same way again.
 explore: $(READY)

@@ -83,9 +83,9 @@ class RatioData:
 
     def take(self, sets: Indices) -> RatioData:
         """Some of the sets."""
-        if len(self.whitening) == 1:
-            return self
-        return replace(self, whitening=self.whitening[sets], third_weight=self.third_weight[sets])
+        axes = {name: 4 if name == "whitening" else 2 for name in vars(self)}
+        own = {name: v[sets] for name, v in vars(self).items() if np.ndim(v) == axes[name] and len(v) > 1}
+        return replace(self, **own)
 
 
 @dataclass(frozen=True)
@@ -300,7 +300,6 @@ _PROFILE_ITERATIONS = 25
 
 _NO_WAY_DOWN = 1e5  # damping with which a step that still does not go down ends the search
 
-_SHIFT = 1e-6  # of a way, from which a slope is taken
 _CLOSE = 1e-3
 _LARGEST_STEP = 0.999  # the slowest rate with a beat is faster than the lock-in rate by at least this share
 
@@ -457,15 +456,15 @@ def _ways(point: Floats, data: RatioData, chosen: Indices, held: Floats | None) 
 def _linearised(point: Floats, data: RatioData, prior: Prior, held: Floats | None) -> _Linearised:
     """Normal matrix scaled to a unit diagonal, gradient in the same units, and the units (B, ways)."""
     ways = _ways(point, data, np.flatnonzero(prior.sd > 0), held)
-    every = _residual(np.concatenate([point + _SHIFT * ways, point[np.newaxis]]), data, prior)
-    left = every[-1]
-    jacobian = np.moveaxis((left - every[:-1]) / _SHIFT, 0, -1)
+    shift = 1e-5 * ways
+    both = _residual(np.concatenate([point - shift, point + shift, point[np.newaxis]]), data, prior)
+    jacobian = np.moveaxis(both[: len(ways)] - both[len(ways) : -1], 0, -1) / 2e-5
     size = np.linalg.norm(jacobian, axis=1)
     size = np.where(size > 0, size, 1.0)
     jacobian = jacobian / size[:, np.newaxis, :]
     normal = jacobian.swapaxes(-1, -2) @ jacobian
-    gradient = np.einsum("bnp,bn->bp", jacobian, left)
-    return _Linearised(point, ways.swapaxes(0, 1), np.sum(left**2, axis=-1), normal, gradient, 1 / size)
+    gradient = np.einsum("bnp,bn->bp", jacobian, both[-1])
+    return _Linearised(point, ways.swapaxes(0, 1), np.sum(both[-1] ** 2, axis=-1), normal, gradient, 1 / size)
 
 
 def _starts(data: RatioData, prior: Prior) -> Floats:

@@ -277,7 +277,6 @@ def _judged(
         report.misfit[rows] = np.linalg.norm(every, axis=0)
         report.flags[rows[moved.drift_chance < UNLIKELY]] |= Flag.PARTS_DIFFER
         report.flags[rows[sure | moved.vibrates]] |= Flag.MISFIT
-        compared[rows] |= (moved.walk + report.misfit[rows] == 0) & (report.flags[rows] == int(Flag.RATE_WANDER))
     examine_lines(report, left, n_samples, series, ~moving)
     flags |= report.flags
     asked = ~moving & ~fatal & (report.uneven | (report.misfit > 0) | ((report.flags & int(Flag.MISFIT)) != 0))
@@ -394,21 +393,21 @@ def _followed(
                 phase = np.array([crests[place] for place in tried.tolist()])
             if not tried.size:
                 break
-            rows = some[tried]
+            here = some[tried]
             moved, is_smooth = smooth_motions(values[tried], mask[tried], phase)
-            again = left_by_motion(rows, moved)
+            again = left_by_motion(here, moved)
             failed = ((again.flags | moved.flags) & int(FATAL | Flag.MISFIT)) != 0
             coloured = (again.flags & int(Flag.COLOURED_NOISE)) != 0
             coloured &= again.excess.max(axis=1) > COLOURFUL
             done = is_smooth & ~failed & ~coloured
             explained = (moved.flags & int(Flag.RATE_WANDER)) != 0
-            explained |= moved.variance <= WORTH_MOVING * variance[rows]
+            explained |= moved.variance <= WORTH_MOVING * variance[here]
             taken = never_alone(np.flatnonzero(done & explained))
             if taken.size:
-                yield rows[taken], moved.take(taken), again.take(taken), False, True
+                yield here[taken], moved.take(taken), again.take(taken), False, True
             undone[tried[done]] = False
             # one that fits and is too quick for it has been read well enough
-            tried = np.unique(tried[failed | (coloured & ~is_smooth)])
+            tried = np.unique(tried[failed | coloured])
         some, values, mask = some[undone], values[undone], mask[undone]
         fits: dict[bytes, MovingFits | None] = {}  # a record that is alone stands here twice
         for place in np.unique(some, return_index=True)[1]:

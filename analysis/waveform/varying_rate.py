@@ -116,7 +116,10 @@ def _fitted(record: SampledRecord, seen: FirstPhase) -> tuple[Fitted, Terms, boo
         loose = record.fit(moved, LOOSE / scale, ITERATIONS)
     tight = record.fit(loose.trajectory, TIGHT / scale, LAST_ITERATIONS)
     noisy = tight.evidence > loose.evidence + NOISY_RATE
-    best = loose if noisy else tight
+    best = tight
+    if noisy:
+        free = record.fit(loose.trajectory, FREE / scale, ITERATIONS)
+        best = min(free, loose, key=lambda fitted: fitted.evidence)
     needed = terms_needed(best, record.count)
     kept = replace(needed, rate=min(int(ROOM * needed.rate) + ROOM_AT_LEAST, best.trajectory.terms.rate))
     if noisy:
@@ -184,15 +187,14 @@ def _likeliest(record: SampledRecord, fitted: Fitted, width: float, finest: floa
             tried[place] = record.fit(near, fitted.looseness * np.exp(place), ITERATIONS)
         return tried[place].evidence
 
-    vertex = middle
     while width > finest:
         below, above = at(middle - width) - at(middle), at(middle + width) - at(middle)
         if min(below, above) < -ALIKE:
             middle += width if above < below else -width
-        else:  # a parabola through the three
-            vertex = middle + width / 2 * (below - above) / max(below + above, ALIKE)
+        else:
             width /= 2
-    at(vertex)
+    if finest == FINEST:  # a parabola through the three last ones
+        at(middle + width * (below - above) / max(below + above, ALIKE))
     return min(tried.values(), key=lambda fit: fit.evidence)
 
 

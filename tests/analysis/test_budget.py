@@ -315,6 +315,7 @@ CHAINS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("chain", CHAINS)
 def test_budget_agrees_with_the_whole_chain_within_5_percent(chain: str) -> None:
     over, known, how = CHAINS[chain]
@@ -327,6 +328,7 @@ def test_budget_agrees_with_the_whole_chain_within_5_percent(chain: str) -> None
     assert abs(simulated.mean - WL) < 0.2 * budget.combined_u
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("azimuth", [math.nan, 70.0])
 def test_budget_by_the_table_agrees_with_the_whole_chain(azimuth: float) -> None:
     table = TableGeometry(**{**vars(TABLE), "azimuth_deg": azimuth})
@@ -338,6 +340,7 @@ def test_budget_by_the_table_agrees_with_the_whole_chain(azimuth: float) -> None
     assert simulated.u == pytest.approx(budget.combined_u, rel=0.05)
 
 
+@pytest.mark.slow
 def test_budget_of_several_records_with_scatter_agrees_with_the_whole_chain() -> None:
     shape, point = point_at(4.0, records=4, scatter=0.01 * WL)
     knowledge = bench(scale_factor_u_ppm=2000.0)

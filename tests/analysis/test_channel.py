@@ -30,6 +30,7 @@ def filtered_record(multiple, *, low_pass=None, high_pass=None, noise=0.0, rng=N
     return settled, 10 / (FINE * f), rate, f
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("corner", "percent"), [(3, -12.3), (5, -5.35), (10, -1.45), (20, -0.37), (50, -0.06)])
 def test_one_pole_weakens_the_ratio_by_the_known_amounts(corner, percent):
     volts, interval, rate, f = filtered_record(20, low_pass=corner)
@@ -43,6 +44,7 @@ def test_one_pole_weakens_the_ratio_by_the_known_amounts(corner, percent):
     assert float(corrected.backscatter_phase) == pytest.approx(0.7, abs=1e-4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("share", "percent"), [(3, 3.97), (5, 1.47), (10, 0.37), (20, 0.09)])
 def test_ac_coupling_strengthens_the_ratio_by_the_known_amounts(share, percent):
     volts, interval, rate, f = filtered_record(20, high_pass=1 / share)
@@ -53,6 +55,7 @@ def test_ac_coupling_strengthens_the_ratio_by_the_known_amounts(share, percent):
     assert float(corrected.backscatter_phase) == pytest.approx(0.7, abs=1e-4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("multiple", [1.1, 1.5, 3, -3])
 def test_close_to_lock_in_the_higher_harmonics_count(multiple):
     volts, interval, rate, f = filtered_record(multiple, low_pass=3, high_pass=0.2)

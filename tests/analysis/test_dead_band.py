@@ -206,6 +206,7 @@ def test_a_drift_of_the_bias_is_found_and_taken_out(order, hysteresis):
     assert np.all(rms[:2] > 0.1)
 
 
+@pytest.mark.slow
 def test_slips_scatter_the_edges_and_the_bias_pays_for_it():
     rates, us, errors = station_sweep(steps=30), [], []
     quiet = find_dead_band(

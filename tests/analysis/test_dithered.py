@@ -91,6 +91,7 @@ def test_each_record_holds_what_it_says(run):
     assert np.all(apart[usable] < 5 * each.lock_in_rate_u[usable])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("gain_corner", "pole"),
     [
@@ -112,6 +113,7 @@ def test_light_that_follows_and_a_slow_receiver_are_no_lock_in(gain_corner, pole
     assert np.sqrt(np.mean(off**2)) < 1.4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("periods", "swing", "jitter"), [(2.0, 90.0, 0.1), (6.0, 28.0, 0.02)])
 def test_a_dither_that_breathes_and_a_long_record_are_followed(periods, swing, jitter):
     rng = np.random.default_rng(29)
@@ -123,6 +125,7 @@ def test_a_dither_that_breathes_and_a_long_record_are_followed(periods, swing, j
     assert np.max(np.abs((each.lock_in_rate - true) / each.lock_in_rate_u)[usable]) < 4
 
 
+@pytest.mark.slow
 def test_a_strong_coupling_is_followed_to_its_end():
     rng = np.random.default_rng(41)
     true = np.exp(rng.uniform(np.log(0.3), np.log(1.0), 10))
@@ -133,6 +136,7 @@ def test_a_strong_coupling_is_followed_to_its_end():
     assert np.sqrt(np.mean(((each.lock_in_rate - true) / each.lock_in_rate_u)[usable] ** 2)) < 1.5
 
 
+@pytest.mark.slow
 def test_half_a_period_may_do():
     volts, interval = records(np.random.default_rng(8), 8, lock_in=0.08, phase=0.2, periods=0.6)
     each = estimate_dithered(volts, interval, scale_factor=K, dither_frequency=402.0)
@@ -142,6 +146,7 @@ def test_half_a_period_may_do():
     assert np.isnan(each.dither_rate).all()
 
 
+@pytest.mark.slow
 def test_many_records_are_one_value():
     rng = np.random.default_rng(5)
     volts, interval = records(rng, 16, lock_in=0.03, phase=2.4)
@@ -157,6 +162,7 @@ def test_many_records_are_one_value():
     assert half.lock_in_rate == pytest.approx(2 * each.lock_in_rate[:2], rel=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("true", "angle"), [(0.01, 0.3), (0.01, 1.4), (0.003, 0.5), (0.05, 0.7)])
 def test_records_of_either_sense_make_no_lock_in_rate_of_noise(true, angle):
     # each record alone does not tell which of its two answers is right: to take the nearer one would add noise
@@ -181,6 +187,7 @@ def test_records_of_either_sense_make_no_lock_in_rate_of_noise(true, angle):
     assert abs(np.mean(off)) < 0.55
 
 
+@pytest.mark.slow
 def test_what_cannot_be_followed_is_no_number():
     rng = np.random.default_rng(3)
     plain = {"lock_in": 0.05, "phase": 0.4}
@@ -220,6 +227,7 @@ def test_the_random_walk_of_counts():
     assert lock_in_of_random_walk(1.262e-4, scale_factor=500, dither_rate=50) == pytest.approx(0.05, rel=1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("k", "true"), [(1000.0, 0.02), (3000.0, 0.15)])
 def test_counts_tell_a_walk_of_hundredths_of_a_count(k, true):
     """Every turning point a step of the phase, which the counts cut to whole numbers."""
@@ -236,6 +244,7 @@ def test_counts_tell_a_walk_of_hundredths_of_a_count(k, true):
     assert 0.9 / np.sqrt(2000) < np.median(u) < 0.2
 
 
+@pytest.mark.slow
 def test_counts_that_are_no_walk_say_so():
     rng = np.random.default_rng(6)
     walk = hour_of_counts(rng, 2000.0, 0.05, 100.0, 1000)

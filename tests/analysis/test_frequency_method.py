@@ -18,6 +18,7 @@ def both(*multiples):
     return WL * np.array([*multiples, *(-m for m in multiples)])
 
 
+@pytest.mark.slow
 def test_integrated_beats_give_lock_in_bias_and_scale_factor():
     rates, bias = both(1.3, 2, 4, 9), 0.004
     f = []

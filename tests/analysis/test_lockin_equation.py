@@ -101,6 +101,7 @@ def test_every_inverse_returns_the_rates(x, w):
     assert float(input_rate_from_beat(ratio, beat_rate)) == pytest.approx(w, rel=1e-6)
 
 
+@pytest.mark.slow
 @settings(max_examples=settings().max_examples // 10)
 @given(ramp=st.floats(-20, 20), phi0=st.floats(-3, 3), beta=st.floats(-3, 3))
 def test_a_moving_rate_agrees_with_an_integrator(ramp, phi0, beta):

@@ -34,6 +34,7 @@ def test_without_noise_the_value_is_exact(periods):
     assert float(e.noise_rms) < 2e-12
 
 
+@pytest.mark.slow
 def test_the_error_stands_at_the_cramer_rao_bound():
     rng = np.random.default_rng(20)
     times, records, truths, noises = random_records(
@@ -116,6 +117,7 @@ def test_a_stack_gives_what_each_record_gives_alone():
         assert float(alone.lock_in_rate) == pytest.approx(value, abs=1e-2 * float(alone.lock_in_rate_u))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("limit", [110.0, 95.0])
 def test_clipping_is_found_and_leaves_no_bias(limit):
     rng = np.random.default_rng(25)
@@ -140,6 +142,7 @@ def test_clipping_is_found_and_leaves_no_bias(limit):
     assert np.abs(told.lock_in_rate - x).mean() > 3 * np.abs(e.lock_in_rate - x).mean()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("amplitude", "volts_per_code"), [(127.9, 1.0), (130.0, 1.0), (136.0, 1.0), (129.0, 0.0371), (136.0, 0.0371)]
 )
@@ -345,6 +348,7 @@ def test_no_number_is_given_where_it_would_mean_nothing():
     assert int(combined.flags) & FATAL
 
 
+@pytest.mark.slow
 def test_combining_is_coherent_and_unbiased():
     """Twenty records of ratio 1.4 u each: the mean of sizes would be 20 % high."""
     rng = np.random.default_rng(29)
@@ -463,6 +467,7 @@ def test_shot_noise_is_no_damage(contrast):
     assert not np.any(flags & (Flag.DAMAGED | Flag.MISFIT))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("kind", "size"), [("thresholds", 0.3), ("widths", 0.3)])
 def test_the_codes_of_a_converter_count_by_what_they_show(kind, size):
     """DNL of 0.3 levels in another converter each time: no misfit, and an uncertainty of the size of the error."""

@@ -65,6 +65,7 @@ def by_image(sine, cosine, interval):
     return second * abs(plus[0]) / plus[0] ** 2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("multiple", [3, 8, 20, 50, 100, -3, -20, -100])
 def test_distortion_of_minus_46_dbc_is_gone_in_perfect_quadrature(multiple):
     made = estimated(multiple)
@@ -86,6 +87,7 @@ def test_for_equal_channels_it_is_the_subtraction_of_the_image():
     assert abs(made.estimate.lock_in_rate[0] / WL - 1) < 1.5e-4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("multiple", [20, -20, 100])
 def test_unequal_channels_cost_nothing_either(multiple):
     """3 % gain, 0.05 rad, different distortion: subtraction of the image leaves 1 %, this 0.01 %."""
@@ -101,6 +103,7 @@ def test_unequal_channels_cost_nothing_either(multiple):
         assert 0.004 < abs(left) < 0.1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("multiple", [1.2, 3, 20])
 def test_the_uncertainty_is_that_of_the_scatter(multiple):
     rng = np.random.default_rng(2)
@@ -121,6 +124,7 @@ def test_the_uncertainty_is_that_of_the_scatter(multiple):
     assert np.mean(made.flags != 0) < 0.02
 
 
+@pytest.mark.slow
 def test_a_beat_by_an_integrator_comes_back_too():
     times = np.arange(2500) * 1e-5
     bench = {"k": 20000.0, "w": -0.15, "wl": WL, "phi0": 1.0, "beta": 0.3}

@@ -111,6 +111,7 @@ def measured(
 KNOWN = BeamsKnowledge(level_u=0.01, rate_u=20e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("ratio", "phase_sum", "corner"),
     [
@@ -142,6 +143,7 @@ def test_the_lock_in_rate_of_any_coupling(ratio, phase_sum, corner):
     assert np.all(np.abs(off) < 4 * fit.corrected_frequency_u + 1e-4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rates", [(0.03, 0.3), (0.08, -0.08), (0.03, 0.1, 0.3)])
 def test_beams_settle_what_few_rates_leave_open(rates):
     bench = Bench(laser(1.2, 0.6, 1.5))
@@ -170,6 +172,7 @@ def test_a_plan_promises_what_such_lasers_give():
     assert 0.1 < np.median(expected_beams_u(many, rates, WL, K, knowledge=KNOWN)) / half < 0.9
 
 
+@pytest.mark.slow
 def test_one_beam_is_worth_something_and_a_level_is_needed_for_its_size():
     bench = Bench(laser())
     alone, swing = measured(bench, beams=(2,))
@@ -181,6 +184,7 @@ def test_one_beam_is_worth_something_and_a_level_is_needed_for_its_size():
     assert abs(unknown.lock_in_rate - WL) < 3.3 * unknown.lock_in_rate_u < 3.3 * alone.lock_in_rate_u
 
 
+@pytest.mark.slow
 def test_the_conservative_part_pushes_the_beat_up():
     # equation (2.11) and its example: 120 degrees, w = g, xi = 0.6; Adler's equation says the other sign
     each = float(np.pi * K * WL / np.cos(np.radians(60)))
@@ -253,6 +257,7 @@ def test_what_a_beam_may_not_be():
     ).all()
 
 
+@pytest.mark.slow
 def test_the_modulation_is_known_as_well_as_it_says():
     bench, rng = Bench(laser(), crosstalk=(0.0, 0.0)), np.random.default_rng(5)
     period, frequency = bench.channels(0.06)

@@ -73,6 +73,7 @@ def test_a_processor_with_fewer_instructions_changes_nothing(tmp_path: Path) -> 
     assert check(told) == []
 
 
+@pytest.mark.slow
 def test_rounding_as_of_another_processor_changes_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Volts changed by 1e-12 of themselves: no number moves by a thousandth of its uncertainty."""
     shaken = []

@@ -60,6 +60,7 @@ def test_mistakes_are_named_before_anything_moves(tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 def test_a_gyro_that_stays_locked_raises_and_says_where_the_run_is(tmp_path: Path) -> None:
     locked = {"table": {"kind": "none"}, "simulation": {"lock_in_rate_dps": 100.0}}
     with pytest.raises(NoUsableSignal) as caught:
@@ -82,6 +83,7 @@ gyrolock.measure(rates=8, records=20, seed=3, out=sys.argv[1], report=False)
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name != "posix", reason="no SIGINT for another process")
 def test_an_interrupted_call_keeps_its_records_and_goes_on(tmp_path: Path) -> None:
     stopped = subprocess.run([sys.executable, "-c", STOPPED, str(tmp_path)], capture_output=True, text=True)

@@ -30,6 +30,7 @@ def printed(capsys: pytest.CaptureFixture[str], *arguments: object) -> dict[str,
     return document
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", EVERY)
 def test_a_result_is_what_the_command_prints(name: str, capsys: pytest.CaptureFixture[str]) -> None:
     result = opened(name).result()
@@ -43,6 +44,7 @@ def test_a_result_is_what_the_command_prints(name: str, capsys: pytest.CaptureFi
     assert set(document) <= set(dir(result))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", EVERY)
 def test_a_result_shows_itself(name: str) -> None:
     result = opened(name).result()

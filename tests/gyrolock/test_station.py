@@ -20,6 +20,7 @@ def run(*arguments: str, **environment: str) -> subprocess.CompletedProcess[str]
     return subprocess.run([sys.executable, *arguments], env={**os.environ, **environment}, **given)  # type: ignore[call-overload,no-any-return]
 
 
+@pytest.mark.slow
 def test_a_bad_unit_fails_in_an_openhtf_test(tmp_path: Path) -> None:
     done = run(str(EXAMPLES / "with_openhtf.py"), str(write_campaign(tmp_path)), "BAD")
     assert done.returncode == 1, done.stderr

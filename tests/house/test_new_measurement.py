@@ -129,6 +129,7 @@ def gyrolock(tree: Path, *arguments: str, code: int = 0) -> str:
     return done.stdout
 
 
+@pytest.mark.slow
 def test_a_new_test_of_the_fibre_gyro_is_one_file(copy: Path) -> None:
     (copy / "limits.toml").write_text("[limits]\ndroop_counts = 1e9\n", encoding="utf-8")
     assert "Droop of the output at rest." in gyrolock(copy, "fog", "--help")

@@ -64,6 +64,7 @@ def imports(name: str, tree: ast.Module) -> Iterator[tuple[str, str, str]]:
                     yield source, one.name, one.asname or one.name
 
 
+@pytest.mark.slow
 def test_no_module_imports_itself_by_a_detour() -> None:
     """Imports under TYPE_CHECKING and inside functions count: a late one only hides a circle."""
     graph = {name: {module for module, _, _ in imports(name, tree)} for name, tree in ours().items()}

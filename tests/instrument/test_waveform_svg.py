@@ -57,6 +57,7 @@ class Checker(HTMLParser):
         assert self.open.pop() == tag
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", ["CH1:COUPLING GND", "CH1:SCALE 0.05", "HOR:SCALE 0.25", "ACQ:MODE PEAK"])
 def test_flat_clipped_scanned_and_paired_records_have_a_picture(command, bench):
     bench.write(command)

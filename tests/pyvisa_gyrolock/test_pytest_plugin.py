@@ -4,6 +4,8 @@ import re
 from importlib.metadata import entry_points
 from pathlib import Path
 
+import pytest
+
 pytest_plugins = ["pytester"]
 
 ROOT = Path(__file__).parents[2]
@@ -22,6 +24,7 @@ def test_the_example_of_the_page(pytester, monkeypatch):
     result.assert_outcomes(passed=test.count("def test_"))
 
 
+@pytest.mark.slow
 def test_marker_and_mistakes(pytester, monkeypatch):
     pytester.makepyfile("""
         import pytest

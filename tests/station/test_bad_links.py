@@ -25,6 +25,7 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("instrument.dialogue.link.PAUSE_TIME", 0.05)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_a_run_over_a_link_that_spoils_messages_each_way(quick, seed: int) -> None:
     ended = faults.measure(0.05, records=8, seed=seed)
@@ -60,6 +61,7 @@ def test_a_run_goes_on_with_the_scope_that_it_was_begun_with_only(tmp_path: Path
     assert len(open_run(cut.path).taken_for("measure")) == 5
 
 
+@pytest.mark.slow
 def test_three_days_with_a_power_cycle_a_pulled_cable_and_a_kill(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(soak, "SHARE", 0.1)
     outcome = soak.soak(90, 3)
@@ -72,6 +74,7 @@ def test_three_days_with_a_power_cycle_a_pulled_cable_and_a_kill(monkeypatch: py
     assert outcome.link["reconnected"] > 1
 
 
+@pytest.mark.slow
 def test_the_soak_notices_a_wrong_record(monkeypatch: pytest.MonkeyPatch) -> None:
     shown = soak.RecordingScope.acquisition_of
     monkeypatch.setattr(

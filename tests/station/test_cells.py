@@ -17,6 +17,7 @@ UNIT = '=HYPERLINK("http://example.org";"RLG-7")'
 OPERATOR = "+cmd|' /C calc'!A0"
 
 
+@pytest.mark.slow
 @given(st.text(alphabet=st.sampled_from("'=+-@\t\r1.e5naifx "), max_size=9) | st.text())
 def test_a_cell_does_nothing_and_gives_its_text_back(text: str) -> None:
     cell = inert(text)

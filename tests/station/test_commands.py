@@ -166,6 +166,7 @@ def test_a_group_alone_shows_its_help(group: list[str], capsys: pytest.CaptureFi
 FLAT = 9.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("error", "state"), [(0.0, "ok"), (0.04, "bad"), (-0.1, "bad"), (0.015, "bad"), (None, "bad"), (FLAT, "bad")]
 )

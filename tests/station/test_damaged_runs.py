@@ -242,6 +242,7 @@ def test_pages_that_follow_each_other_in_a_circle_end(length: int) -> None:
 GOLDEN = Path(__file__).parents[1] / "golden"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("run", "table", "where", "value"),
     [

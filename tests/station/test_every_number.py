@@ -38,6 +38,7 @@ def known(part: dict[str, Any], name: str) -> bool:
     return ("u",) in beside or {("95", "low"), ("95", "high")} <= {tuple(sorted(one)) for one in beside}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", RUNS)
 def test_a_number_whose_uncertainty_is_in_the_json_can_be_judged(name: str, tmp_path: Path) -> None:
     run = open_run(Path(shutil.copy(GOLDEN / f"{name}.sqlite", tmp_path)))

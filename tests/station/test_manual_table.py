@@ -84,6 +84,7 @@ def led_by_an_operator(folder: Path, measurement: str, **simulated: float) -> Le
     return Led(asked, said, code, open_run(path))
 
 
+@pytest.mark.slow
 def test_an_operator_leads_the_table_through_the_measurement(tmp_path: Path) -> None:
     led = led_by_an_operator(tmp_path, "records = 3\nrates_over_lock_in = [8.0]")
     assert led.code == 0, led.said
@@ -115,6 +116,7 @@ def test_by_default_the_operator_is_asked_for_five_rates_in_both_senses(tmp_path
     assert result["several_rates"]["by_beat"] is not None
 
 
+@pytest.mark.slow
 def test_a_rate_at_which_the_gyro_is_locked_is_told_and_the_others_go_on(tmp_path: Path) -> None:
     """Lock-in at 0.04 deg/s, the operator expects 0.01: at 3 times that the gyro stands still in the light."""
     led = led_by_an_operator(
@@ -134,6 +136,7 @@ def test_a_rate_at_which_the_gyro_is_locked_is_told_and_the_others_go_on(tmp_pat
     assert led.run.results["lock_in_rate_dps"] == pytest.approx(0.04, rel=0.02)
 
 
+@pytest.mark.slow
 def test_a_tilt_that_only_a_wrong_rate_gives_is_refused(tmp_path: Path) -> None:
     """An axis at 89.8 deg sees 0.3 % of the table's rate: no slow rate is asked for, unless the tilt is stated."""
     led = led_by_an_operator(tmp_path, "records = 2\ntilt_records = 1", tilt_deg=89.8)
@@ -142,6 +145,7 @@ def test_a_tilt_that_only_a_wrong_rate_gives_is_refused(tmp_path: Path) -> None:
     assert led.asked == [50.0, -50.0]
 
 
+@pytest.mark.slow
 def test_a_rate_far_above_the_fast_run_is_refused_unless_it_is_stated(tmp_path: Path) -> None:
     """At 89.4 deg 400 lock-in rates of 0.01 deg/s are 382 deg/s of the table, 600 are 573."""
     told = "records = 1\ntilt_records = 1\nboth_senses = false\nrates_over_lock_in = [400, 600]"
@@ -171,6 +175,7 @@ class Careless:
         return ""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("insists", [False, True])
 def test_a_rate_that_does_not_fit_the_beat_is_asked_again(tmp_path: Path, insists: bool) -> None:
     bench = ideal_bench(measurement={"records": 2, "tilt_records": 1})
@@ -216,6 +221,7 @@ class Sweeping:
         return ""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("wrong", "insists", "said"),
     [

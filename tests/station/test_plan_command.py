@@ -23,6 +23,7 @@ def planned(capsys: pytest.CaptureFixture[str], *options: str, code: int = 0) ->
     return json.loads(captured.out)
 
 
+@pytest.mark.slow
 def test_plan_says_what_to_set(capsys: pytest.CaptureFixture[str]) -> None:
     document = planned(capsys, "--lock-in-rate", "0.02", "--wanted", "1")
     assert document["reached"]

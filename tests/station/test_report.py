@@ -96,6 +96,7 @@ def test_the_page_shows_result_settings_and_provenance(run: SavedRun) -> None:
     assert "lock-in rate, combined" in page.text
 
 
+@pytest.mark.slow
 def test_the_same_run_gives_the_same_page(run: SavedRun) -> None:
     assert render_report(evaluate_run(run)) == render_report(evaluate_run(run))
 

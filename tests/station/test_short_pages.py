@@ -19,6 +19,7 @@ def runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("run", [run.name for run in GOLDEN if run.stem != "locked"])
 def test_every_kind_of_run_is_told_on_a_short_page(
     run: str, runs: Path, capsys: pytest.CaptureFixture[str]
@@ -65,6 +66,7 @@ def test_the_list_of_runs_has_one_line_a_run_and_a_word_of_quality(
     assert "± 0.0000096 deg/s" in default and " good " in default
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "line",
     [

@@ -63,6 +63,7 @@ def test_beams_are_saved_with_their_beat_and_told(taken: Path) -> None:
     assert "all together" in report
 
 
+@pytest.mark.slow
 def test_analysis_again_gives_the_same(gyrolock, taken: Path) -> None:
     run = taken / document(taken)["run"]
     again = gyrolock("analyze", run, "--json").document
@@ -83,6 +84,7 @@ def test_analysis_again_gives_the_same(gyrolock, taken: Path) -> None:
     assert "routes_differ" in better["beams"]["flags"]
 
 
+@pytest.mark.slow
 def test_a_damaged_beam_costs_itself(gyrolock, taken: Path, tmp_path: Path) -> None:
     run = tmp_path / "run.sqlite"
     run.write_bytes((taken / document(taken)["run"]).read_bytes())
@@ -97,6 +99,7 @@ def test_a_damaged_beam_costs_itself(gyrolock, taken: Path, tmp_path: Path) -> N
     assert abs(done.document["lock_in_rate_dps"] - 0.01) < 3 * done.document["lock_in_rate_u_dps"]
 
 
+@pytest.mark.slow
 def test_files_of_a_memory_card_hold_beams_too(gyrolock, taken: Path, tmp_path: Path) -> None:
     done = gyrolock("export", taken / document(taken)["run"], "--tek-csv", tmp_path / "card", "--json")
     assert done.code == 0
@@ -119,6 +122,7 @@ def test_files_of_a_memory_card_hold_beams_too(gyrolock, taken: Path, tmp_path: 
     assert abs(done.document["lock_in_rate_dps"] - 0.01) < 3 * done.document["lock_in_rate_u_dps"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("beams", "said"),
     [

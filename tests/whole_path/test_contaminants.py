@@ -58,6 +58,7 @@ def _one_pole(frequency: float, corner: float) -> tuple[float, float]:
     return abs(response), math.degrees(cmath.phase(response))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dbc", [-46.0, -40.0])
 def test_distortion_of_second_order(tmp_path: Path, dbc: float) -> None:
     level = 10 ** (dbc / 20)
@@ -70,6 +71,7 @@ def test_distortion_of_second_order(tmp_path: Path, dbc: float) -> None:
     assert distance(measured(tmp_path, {"second_harmonic_dbc": dbc}, measurement=SENSES)) < 4
 
 
+@pytest.mark.slow
 def test_distortion_in_several_rates_of_one_sense(tmp_path: Path) -> None:
     plan = {"rates_over_lock_in": [4.0, 8.0, 16.0, 30.0]}
     several = measured(tmp_path, {"second_harmonic_dbc": -46.0}, measurement=plan)
@@ -108,6 +110,7 @@ def test_distortion_of_third_order(tmp_path: Path) -> None:
     assert abs(float(ratio.combined.lock_in_rate) / LOCK_IN - 1) < 3.3 * level + 3 * 0.002
 
 
+@pytest.mark.slow
 def test_a_laser_whose_intensity_is_slow(tmp_path: Path) -> None:
     plan = {"rates_over_lock_in": [4.0, 10.0, 25.0], "both_senses": True, "records": 3}
     spoilt = {"gain_corner_hz": 1000.0, "cross_saturation": 0.6, "second_harmonic_dbc": -50.0}
@@ -131,6 +134,7 @@ def test_a_laser_whose_intensity_is_slow(tmp_path: Path) -> None:
     assert alone < 0.83 * ideal
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("spoilt", "front_end", "about"),
     [
@@ -174,6 +178,7 @@ def test_light_of_the_single_beams(tmp_path: Path) -> None:
     assert float(seen.combined.lock_in_rate) == pytest.approx(expected, rel=0.012)
 
 
+@pytest.mark.slow
 def test_a_swinging_rate(tmp_path: Path) -> None:
     # the phase swings by K a / f = 0.5 rad
     swinging = measured(tmp_path, {"rate_ripple_dps": 2.5e-3, "rate_ripple_hz": 10.0})
@@ -247,6 +252,7 @@ def test_a_scale_factor_that_drifts_shows_in_the_rate_of_the_table(tmp_path: Pat
     assert abs(check.lock_in_rate - LOCK_IN) < 4 * check.lock_in_rate_u
 
 
+@pytest.mark.slow
 def test_a_pump_that_swings_is_seen_and_does_not_move_the_result(tmp_path: Path) -> None:
     swinging = measured(tmp_path, {"pump_ripple": 0.01, "pump_ripple_hz": 37.0})
     assert abs(float(swinging.combined.lock_in_rate) / LOCK_IN - 1) < 0.02

@@ -103,6 +103,7 @@ def test_a_sweep_that_is_stopped_goes_on(gyrolock, cut_gyrolock, tmp_path: Path,
     assert len(set(keys)) == 23
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name != "posix", reason="needs a pseudo-terminal for the operator")
 def test_an_operator_leads_the_table_through_the_sweep(tmp_path: Path) -> None:
     """The operator of this test turns the simulated table by what the prompts say, a little off."""

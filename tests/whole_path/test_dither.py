@@ -70,6 +70,7 @@ def test_a_dithered_gyro_is_measured(taken: Path) -> None:
     assert "dither turns over" in report and report.count("<svg") == 2
 
 
+@pytest.mark.slow
 def test_it_is_evaluated_again_and_beside_a_random_walk(taken: Path) -> None:
     said = json.loads((taken / "said.json").read_text())
     again = told(taken, f"analyze {said['run']}")
@@ -113,6 +114,7 @@ def test_it_is_evaluated_again_and_beside_a_random_walk(taken: Path) -> None:
     assert wrong.returncode == 4 and "no record of the dithered gyro can be used" in wrong.stderr
 
 
+@pytest.mark.slow
 def test_it_is_planned(taken: Path) -> None:
     """The bound of Cramér and Rao is what a run gives, and the records planned are those that it takes."""
     said = json.loads((taken / "said.json").read_text())
@@ -134,6 +136,7 @@ def test_it_is_planned(taken: Path) -> None:
         assert refused.returncode == 2 and option.split()[0] in refused.stderr
 
 
+@pytest.mark.slow
 def test_it_is_gone_on_with(taken: Path) -> None:
     said = json.loads((taken / "said.json").read_text())
     run = open_run(taken / said["run"])
@@ -151,6 +154,7 @@ def test_it_is_gone_on_with(taken: Path) -> None:
     assert len(open_run(cut).taken_for("dither")) == 3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("settings", "options", "says"),
     [
@@ -197,6 +201,7 @@ at_most = 0.01
 """
 
 
+@pytest.mark.slow
 def test_a_campaign_compares_dither_on_and_off(tmp_path: Path) -> None:
     (tmp_path / "campaign.toml").write_text(CAMPAIGN)
     done = gyrolock(tmp_path, "station campaign.toml --unit U1 --quiet")
@@ -205,6 +210,7 @@ def test_a_campaign_compares_dither_on_and_off(tmp_path: Path) -> None:
     assert [step["verdict"] for step in record["steps"]] == [None, "PASS"]
 
 
+@pytest.mark.slow
 def test_the_simulated_beat_is_the_lock_in_equation() -> None:
     gyro = Gyro(500.0, 0.08, 0.7, 88.0, 28.0, winking=Winking(500.0, 0.08, 4000.0))
     fringe = DitheredFringe(gyro, Dither(60.0, 350.0, 0.03, 4), lambda times: np.full(times.shape, 0.4), 1e9)

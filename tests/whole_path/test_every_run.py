@@ -35,6 +35,7 @@ def saved(name: str, folder: Path) -> Path:
     return Path(shutil.copy(GOLDEN / f"{name}.sqlite", folder / name / "run.sqlite"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", KINDS)
 def test_report_and_analyze_take_every_kind(name: str, tmp_path: Path, capsys) -> None:
     run = saved(name, tmp_path)
@@ -85,6 +86,7 @@ def test_limits_judge_a_ring_laser_too(tmp_path: Path, capsys) -> None:
     assert "FAIL lock-in rate: " in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_a_measurement_beyond_its_limit_ends_with_one(tmp_path: Path, gyrolock) -> None:
     (tmp_path / "my.toml").write_text(
         "[limits]\nlock_in_rate_dps = 0.001\n[measurement]\nrecords = 2\nrates_over_lock_in = [8]\n"
@@ -108,6 +110,7 @@ MANY = (
 )
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="this system has no SIGKILL")
 @pytest.mark.parametrize("number", ["SIGKILL", pytest.param("SIGINT", marks=pytest.mark.slow)])
 def test_a_measurement_cut_short_goes_on_to_its_full_count(

@@ -39,6 +39,7 @@ def wait_for_records(folder: Path, count: int) -> None:
     raise AssertionError("the records did not come")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("how", ["SIGINT", pytest.param("SIGKILL", marks=pytest.mark.slow)])
 def test_ctrl_c_and_kill_leave_a_valid_run(tmp_path: Path, cut_gyrolock, serve_scope, how: str) -> None:
     scope = serve_scope("--tcp", "0", "--config", "ideal.toml")
@@ -115,6 +116,7 @@ def other_instrument() -> Iterator[str]:
         thread.join()
 
 
+@pytest.mark.slow
 def test_a_wrong_instrument(gyrolock, other_instrument: str) -> None:
     done = gyrolock("measure", "--resource", other_instrument, *GIVEN, "--json")
     assert done.code == 3
@@ -197,6 +199,7 @@ def test_an_empty_run_and_a_damaged_record(gyrolock, tmp_path: Path) -> None:
     assert "no record" in done.document["error"]["message"]
 
 
+@pytest.mark.slow
 def test_noise_that_leaves_no_lock_in_at_all(gyrolock, tmp_path: Path) -> None:
     """Exactly 0 in about every third run; it has an uncertainty, a budget and a report all the same."""
     clean = "second_harmonic_dbc = -150.0\nthird_harmonic_dbc = -150.0\npump_ripple = 0.0\n"

@@ -33,6 +33,7 @@ static_s = 5.0
 """
 
 
+@pytest.mark.slow
 def test_a_table_run_in_one_command(gyrolock, tmp_path: Path) -> None:
     done = gyrolock("fog", "table", "--seed", 3, "--json")
     assert done.code == 0, done.err
@@ -270,6 +271,7 @@ def served(tmp_path: Path) -> Iterator[Callable[..., str]]:
         process.stdout.close()
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name != "posix", reason="serial terminals of this kind are POSIX")
 @pytest.mark.parametrize("kill", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_a_killed_process_loses_nothing_and_goes_on(gyrolock, served, tmp_path: Path, kill: bool) -> None:

@@ -123,6 +123,7 @@ def all_run(page: str, folder: Path, *, measuring: bool) -> None:
 PAGES_RUN = sorted({page for page, _, words in EVERY if not ELSEWHERE.search(" ".join(words))})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("page", PAGES_RUN)
 def test_what_a_guide_reads_is_there_in_the_sample(page: str, sample: Path) -> None:
     all_run(page, sample, measuring=False)
@@ -134,6 +135,7 @@ def test_every_command_of_a_guide_runs(page: str, sample: Path) -> None:
     all_run(page, sample, measuring=True)
 
 
+@pytest.mark.slow
 def test_what_the_pages_show_of_measure_is_what_it_prints(tmp_path: Path) -> None:
     """To some uncertainty: another processor rounds otherwise, and a trigger may come a period later."""
     out = io.StringIO()

@@ -33,6 +33,7 @@ KEYS = {
 }
 
 
+@pytest.mark.slow
 def test_one_command_gives_rate_run_and_report(gyrolock, tmp_path: Path) -> None:
     done = gyrolock("measure", *IDEAL, "--seed", 5, "--json")
     assert done.code == 0, done.err
@@ -90,6 +91,7 @@ def measured(folder: Path, seed: int, records: int) -> SavedRun:
     return open_run(taken.path)
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_codes(tmp_path: Path) -> None:
     runs = [measured(tmp_path, seed, records=2) for seed in (3, 3, 4)]
     codes = [np.stack([record.codes for record in run.records]) for run in runs]
@@ -109,6 +111,7 @@ def test_a_person_reads_a_table_and_progress_stays_on_stderr(gyrolock) -> None:
     assert "records 3/3" not in done.out
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("link", ["tcp", "pty"])
 def test_both_links_of_the_simulated_bench(gyrolock, tmp_path: Path, link: str) -> None:
     (tmp_path / "my.toml").write_text(
@@ -119,6 +122,7 @@ def test_both_links_of_the_simulated_bench(gyrolock, tmp_path: Path, link: str) 
     assert done.document["records"] == 2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("changes", "lock_in_rate"),
     [
@@ -154,6 +158,7 @@ def test_the_truth_lies_where_the_uncertainty_says(tmp_path: Path) -> None:
     assert 0.3 < np.sqrt(np.mean(np.square(distances))) < 1.8
 
 
+@pytest.mark.slow
 def test_a_gyro_that_stays_locked_is_no_usable_signal(gyrolock, tmp_path: Path) -> None:
     (tmp_path / "my.toml").write_text("[simulation]\nlock_in_rate_dps = 5000.0\n")
     done = gyrolock("measure", "--config", "my.toml", "--json")
@@ -198,6 +203,7 @@ def test_settings_can_be_copied_and_used(gyrolock, tmp_path: Path) -> None:
     assert values["table"]["kind"] == "none"
 
 
+@pytest.mark.slow
 def test_the_shipped_bench_is_a_real_one_and_the_default_sees_what_spoils_it(gyrolock) -> None:
     done = gyrolock("measure", "--seed", 2, "--json", "--no-report", timeout=200)
     assert done.code == 0, done.err
@@ -217,6 +223,7 @@ def test_the_shipped_bench_is_a_real_one_and_the_default_sees_what_spoils_it(gyr
 FEW = {"records": 2, "tilt_records": 2}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("gyro", "true"),
     [
@@ -241,6 +248,7 @@ def test_any_gyro_is_measured(tmp_path: Path, gyro: dict[str, float], true: floa
     assert abs(float(found.combined.lock_in_rate) - true) < 4 * float(found.combined.lock_in_rate_u)
 
 
+@pytest.mark.slow
 def test_a_run_whose_rates_were_chosen_anew_goes_on_with_them(tmp_path: Path) -> None:
     overrides = ideal_bench(
         gyro={"expected_lock_in_rate_dps": 0.05},
@@ -258,6 +266,7 @@ def test_a_run_whose_rates_were_chosen_anew_goes_on_with_them(tmp_path: Path) ->
     assert whole.facts["plan"]["changes"] > 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("table", ["simulated", "none"])
 def test_a_bench_without_a_signal_has_no_beat(gyrolock, tmp_path: Path, table: str) -> None:
     (tmp_path / "my.toml").write_text(f'[table]\nkind = "{table}"\n[simulation]\namplitude_v = 0.0\n')

@@ -35,6 +35,7 @@ def taken(folder: Path, progress: Progress | None = None, **sections: dict[str, 
     return open_run(start_run(MEASUREMENT, settings, progress or Progress(quiet=True)).path)
 
 
+@pytest.mark.slow
 def test_no_harmonic_of_a_beat_is_measured_beside_the_mains(gyrolock, tmp_path: Path) -> None:
     # the slowest beats of this bench lie by 49 to 64 and by 97 to 112 Hz
     (tmp_path / "my.toml").write_text("[site]\nmains_hz = 50.0\n[measurement]\nrecords = 1\n")
@@ -101,6 +102,7 @@ def test_rates_are_saved_fitted_and_told(gyrolock, tmp_path: Path) -> None:
     assert "several rates" in refused.document["error"]["message"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("after", "groups"), [(1, 0), (3, 2), (5, 3)])
 def test_a_campaign_that_is_interrupted_gives_what_it_has(tmp_path: Path, after: int, groups: int) -> None:
     plan = {"rates_over_lock_in": [6.0, 15.0], "both_senses": True}
@@ -113,6 +115,7 @@ def test_a_campaign_that_is_interrupted_gives_what_it_has(tmp_path: Path, after:
     assert abs(float(evaluation.combined.lock_in_rate) - 0.01) < 5 * float(evaluation.combined.lock_in_rate_u)
 
 
+@pytest.mark.slow
 def test_a_rate_inside_lock_in_is_told_and_does_not_end_the_campaign(tmp_path: Path) -> None:
     plan = {"rates_over_lock_in": [2.0, 4.5, 9.0], "both_senses": False}
     run = taken(tmp_path, measurement=plan, simulation={"lock_in_rate_dps": 0.026})
@@ -127,6 +130,7 @@ def test_a_rate_inside_lock_in_is_told_and_does_not_end_the_campaign(tmp_path: P
     assert "No record at +2" in render_report(evaluate_run(run))
 
 
+@pytest.mark.slow
 def test_two_photodiodes_are_one_acquisition(tmp_path: Path) -> None:
     run = taken(tmp_path, scope={"quadrature_channel": "CH2"}, measurement={"records": 3})
     purposes = [record.purpose for record in run.records if record.purpose != "tilt"]
@@ -188,6 +192,7 @@ def test_a_measured_response_travels_with_the_run(tmp_path: Path) -> None:
     assert "response" in [line.name for line in evaluation.budget.inputs]
 
 
+@pytest.mark.slow
 def test_a_run_of_an_earlier_version_can_still_be_read(tmp_path: Path) -> None:
     run = taken(tmp_path)
     settings = {section: dict(names) for section, names in run.facts["settings"].items() if names is not None}

@@ -72,6 +72,7 @@ def test_several_scopes_on_other_signals_with_faults(serve_scope, tmp_path) -> N
     manager.close()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_it_ends_cleanly(serve_scope, number: int) -> None:
     scope = serve_scope("--tcp", "0")

@@ -17,6 +17,7 @@ def words(seed: int, count: int, *, walk: float = N, wander: float = 0.0, roundi
     return rng.normal(0, walk / np.sqrt(INTERVAL), count) + level + np.diff(angle) / INTERVAL
 
 
+@pytest.mark.slow
 def test_terms_are_found_where_they_are_and_nowhere_else():
     fit = fit_noise(words(11, 20_000), INTERVAL)
     assert fit.chosen == ("angle_random_walk",)
@@ -83,6 +84,7 @@ def test_gaps_and_outliers_leave_the_noise_as_it_is():
         fit_noise(np.zeros(2000), INTERVAL)
 
 
+@pytest.mark.slow
 def test_lost_words_leave_the_fast_noise_as_it_is():
     """Lines over the gaps make it twice as large: they tear apart what quantization keeps together."""
     values = words(20, 6000, rounding=4 * Q)

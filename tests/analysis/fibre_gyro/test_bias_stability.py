@@ -58,6 +58,7 @@ def test_clean_noise_shows_no_misfit() -> None:
         assert not fit.lines_hz and not fit.bands and np.isnan([fit.loudness, fit.slow_loudness]).all()
 
 
+@pytest.mark.slow
 def test_noise_of_a_markov_process_is_no_random_walk() -> None:
     rng = np.random.default_rng(3)
     keep = np.exp(-1 / 3000)
@@ -70,6 +71,7 @@ def test_noise_of_a_markov_process_is_no_random_walk() -> None:
         assert fit.coefficients_u[name] < 0.2 * value
 
 
+@pytest.mark.slow
 def test_a_steady_line_is_taken_out_and_one_that_is_not_is_told() -> None:
     rng = np.random.default_rng(4)
     at, words = np.arange(60_000) * 0.02, 8e-4 * rng.standard_normal(60_000)

@@ -77,6 +77,7 @@ CASES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", CASES)
 def test_intervals_cover_the_truth(case):
     rng = np.random.default_rng(list(CASES).index(case))
@@ -94,6 +95,7 @@ def test_intervals_cover_the_truth(case):
     assert all(count >= least for count in inside.values()), inside
 
 
+@pytest.mark.slow
 def test_uncertainty_is_not_too_large():
     rng = np.random.default_rng(1)
     pulls, relative = [], []
@@ -107,6 +109,7 @@ def test_uncertainty_is_not_too_large():
     assert np.median(relative) < 3e-4
 
 
+@pytest.mark.slow
 def test_settling_leaves_no_common_error():
     rng = np.random.default_rng(14)
     pulls = []
@@ -118,6 +121,7 @@ def test_settling_leaves_no_common_error():
     assert abs(np.mean(pulls)) < 0.6
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("samples", [25.0, 25.02])
 @pytest.mark.parametrize("steps", [20.0, 20.05, 25.0])
 def test_even_numbers_without_noise_are_not_trusted_too_much(samples, steps):

@@ -114,6 +114,7 @@ def test_the_tilt_with_and_without_azimuths(gyro):
     assert abs(by_itself.tilt_deg - TILT) < 4 * by_itself.tilt_u_deg
 
 
+@pytest.mark.slow
 def test_the_tilt_of_a_fast_run_whose_second_harmonic_is_lost_in_the_noise(monkeypatch):
     """As behind a detector that is far too slow for the fast run; an axis along the table's shows it most."""
     monkeypatch.setattr("array_bench.TILT", 4.0)
@@ -150,6 +151,7 @@ def sensitivity(budget, name):
     return line
 
 
+@pytest.mark.slow
 def test_sensitivities_of_the_budget_are_those_of_the_whole_evaluation():
     stated = BenchKnowledge(scale_factor_u_ppm=100.0, time_base_limit_ppm=50.0, distortion_limit=0.001)
     known = replace(KNOWN, bench=stated, table_rate_u_ppm=20.0, latitude_u_deg=0.01)

@@ -77,6 +77,7 @@ def test_what_is_common_to_the_rates_goes_through_the_fit_unchanged():
     assert "gain_corner" in lines
 
 
+@pytest.mark.slow
 def test_a_pole_that_nobody_stated_is_found_and_taken_out():
     """A corner at three times the slowest beat takes 4 % of the ratio there; the fit has it as an unknown."""
     corner = 2000.0
@@ -93,6 +94,7 @@ def test_a_pole_that_nobody_stated_is_found_and_taken_out():
     assert "corrected for the response of the channel" in corrected.each.noise_model
 
 
+@pytest.mark.slow
 def test_more_records_at_an_azimuth_do_not_tell_it_better():
     def by_table(count):
         slow = [table_rate_for(rate) for rate in (0.05, 0.16, -0.05, -0.16) for _ in range(count)]

@@ -62,6 +62,7 @@ def test_a_run_without_fault_lies_within_its_uncertainties(slow):
         assert 0.18 < np.sqrt(np.mean(np.square(deviations))) < 2.25
 
 
+@pytest.mark.slow
 def test_a_rate_that_moves_from_setting_to_setting_makes_no_scale_factor_wrong():
     """As a ripple in step with the records does. Without it the earth rate tells K to 0.1 %."""
     scale, beat = [], []
@@ -76,6 +77,7 @@ def test_a_rate_that_moves_from_setting_to_setting_makes_no_scale_factor_wrong()
         assert 0.2 < np.sqrt(np.mean(np.square(deviations))) < 2.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sense", [1, -1])
 def test_a_small_bias_of_the_gyro_makes_no_scale_factor_wrong(sense):
     check = evaluate(run(60, table_u=20e-6, bias=sense * 0.025 / 3600), KNOWN, Method(K)).table_check
@@ -84,6 +86,7 @@ def test_a_small_bias_of_the_gyro_makes_no_scale_factor_wrong(sense):
     assert not check.mismatch and not check.scale_factor_mismatch
 
 
+@pytest.mark.slow
 def test_a_wrong_scale_factor_is_absorbed_by_the_tilt_and_seen_by_the_earth_rate():
     right, wrong = (evaluate(run(3), known, Method(known.scale_factor)) for known in (KNOWN, wrong_by(0.02)))
     assert float(wrong.combined.lock_in_rate) / float(right.combined.lock_in_rate) == pytest.approx(1 / 1.02, 1e-3)
@@ -103,6 +106,7 @@ def blind(arrays):
     return replace(arrays, azimuth_start=nothing, azimuth_end=nothing)
 
 
+@pytest.mark.slow
 def test_without_an_angle_of_its_own_nothing_tests_the_scale_factor():
     taken = run(4)
     found = evaluate(RunArrays(blind(taken.slow), blind(taken.fast)), wrong_by(0.02), Method(1.02 * K))
@@ -110,6 +114,7 @@ def test_without_an_angle_of_its_own_nothing_tests_the_scale_factor():
     assert not found.table_check.mismatch
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("error", "seen"), [(0.0, False), (0.02, True)])
 def test_a_known_tilt_tests_the_scale_factor(error, seen):
     known = wrong_by(error, known_tilt_deg=TILT + 0.005, known_tilt_u_deg=0.01)
@@ -124,6 +129,7 @@ def test_a_known_tilt_tests_the_scale_factor(error, seen):
     assert found.table_check.scale_factor_mismatch is seen
 
 
+@pytest.mark.slow
 def test_an_unstated_scale_factor_is_not_called_wrong_within_its_bound():
     known = replace(wrong_by(0.004), bench=BenchKnowledge())
     found = evaluate(run(6), known, Method(known.scale_factor))
@@ -135,6 +141,7 @@ def test_an_unstated_scale_factor_is_not_called_wrong_within_its_bound():
     assert np.radians(found.tilt.tilt_u_deg) == pytest.approx(by_scale, rel=0.02)
 
 
+@pytest.mark.slow
 def test_a_slow_channel_is_no_error_of_several_rates():
     found = evaluate(run(7, SEVERAL, pole_hz=850.0), KNOWN, Method(K))
     assert abs(float(found.combined.lock_in_rate) - WL) < 2 * float(found.combined.lock_in_rate_u) < 0.005 * WL
@@ -176,6 +183,7 @@ def test_an_unknown_azimuth_leaves_the_check_open_by_the_earth_rate():
     assert check.least_error_seen > 1
 
 
+@pytest.mark.slow
 def test_some_records_at_a_time_are_all_of_them(monkeypatch):
     """A million go through the check in blocks."""
     whole = evaluate(run(3, table_u=20e-6), KNOWN, Method(K)).table_check

@@ -59,6 +59,7 @@ def test_the_truth_lies_inside_u95(case):
     assert high - low == pytest.approx(2 * found.budget.expanded_u_95, rel=1e-3 if even else 0.1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("over", [3.0, 8.0, 20.0])
 def test_all_of_them_together(over):
     bench = {"second_order": 0.012, "pole_over_beat": 7.0, "gain_over_beat": 5.0, "third_order": 0.02}

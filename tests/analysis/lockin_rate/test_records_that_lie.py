@@ -111,6 +111,7 @@ def test_parts_of_other_time_bases_differ_and_their_difference_enters_u():
         assert not abs(float(e.lock_in_rate) - gyro.lock_in_rate) > 3 * float(e.lock_in_rate_u)
 
 
+@pytest.mark.slow
 def test_a_beam_blocked_for_a_third_is_refused_or_flagged():
     k, volts, noise = records(8, 5)
     volts[:, 800:1600] = 0.0
@@ -118,6 +119,7 @@ def test_a_beam_blocked_for_a_third_is_refused_or_flagged():
     assert np.all(has(e, FATAL | DOUBTFUL))
 
 
+@pytest.mark.slow
 def test_what_all_records_have_in_common_does_not_average_out():
     k, volts, noise = records(100, 6)
     codes = np.rint(90 * np.tanh(0.7 * (volts / 90 + 0.2)) / np.tanh(0.7 * 1.2) + noise)
@@ -137,6 +139,7 @@ def test_one_record_that_did_not_fit_hardly_counts_among_good_ones():
     assert abs(float(with_it.lock_in_rate - without.lock_in_rate)) < 0.3 * float(without.lock_in_rate_u)
 
 
+@pytest.mark.slow
 def test_no_record_stops_the_others():
     """Noise of the rate so strong that a phase runs backwards; inside lock-in; steps, ramps, single values."""
     rng = np.random.default_rng(8)
@@ -149,6 +152,7 @@ def test_no_record_stops_the_others():
     assert np.all(has(together, FATAL)[refused])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("n_samples", [8, 9, 12, 19, 50, 51])
 def test_few_samples_of_anything_end_in_flags_and_no_warning(n_samples):
     """As few samples as leave no line of noise, no part of a record, no other line than the lowest ones."""
@@ -163,6 +167,7 @@ def test_few_samples_of_anything_end_in_flags_and_no_warning(n_samples):
         assert np.all(e.lock_in_rate_low_95[e.usable] <= e.lock_in_rate_high_95[e.usable])
 
 
+@pytest.mark.slow
 def test_hardly_an_ideal_record_is_suspected():
     ideal = [one for one in CLASSES if one.name == "nothing is wrong"]
     (outcome,) = measure(ideal, 150, [1])
@@ -171,6 +176,7 @@ def test_hardly_an_ideal_record_is_suspected():
     assert outcome.covered >= 125
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["random-walk phase, 3 to 10 rad", "ramp into the lock-in zone", "slow slewing"])
 def test_what_is_to_be_detected_is(name):
     (one,) = [one for one in CLASSES if one.name == name]
@@ -179,6 +185,7 @@ def test_what_is_to_be_detected_is(name):
     assert not any(answer.error or (answer.wrong and not answer.warned) for answer in answers)
 
 
+@pytest.mark.slow
 def test_a_locked_gyro_after_a_transient_is_flagged_though_the_rest_is_a_sine():
     k, volts, noise = records(5, 8)
     volts = 60 * np.sin(2 * np.pi * 20.3 / 2500 * N) + 120 * np.exp(-N / 8) + noise
@@ -190,6 +197,7 @@ def vibrating(gyro, size, turns):
     return gyro.input_rate + swing * np.cos(2 * np.pi * turns * step_times())
 
 
+@pytest.mark.slow
 def test_a_vibration_is_told_from_noise_of_the_rate():
     """Both are fitted as noise of the rate; only a vibration is a line there, and may be lock-in as well."""
     rng = np.random.default_rng(11)

@@ -63,6 +63,7 @@ def test_a_rate_moves_off_the_mains_by_little_and_not_without_need(mains: tuple[
     assert 0 < moved < 120
 
 
+@pytest.mark.slow
 def test_weak_hum_does_no_harm_beside_a_moved_rate() -> None:
     # 0.3 % of hum at 50 Hz, half of it at 100 Hz: too little to be seen by itself, 1 % of the second harmonic
     random = np.random.default_rng(3)

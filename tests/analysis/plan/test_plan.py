@@ -116,6 +116,7 @@ def test_prediction_by_the_table_agrees_with_simulation() -> None:
 
 
 # `benchmarks.several_rates.planned` has more rates and trials
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("over", "both"),
     [((3.0,), True), ((3.0, 30.0), False), pytest.param((8.0, 15.0, 30.0), False, marks=pytest.mark.slow)],
@@ -142,6 +143,7 @@ def test_of_a_bench_that_nobody_stated_a_plan_promises_what_its_fit_says(
     assert plan.budget.combined_u == pytest.approx(said, rel=0.35)
 
 
+@pytest.mark.slow
 def test_two_rates_in_one_sense_promise_no_more_than_two_solutions_allow() -> None:
     """3 and 30 times lock-in: several times worse than the same rates in both senses, and no records cure it."""
     unknown = replace(planned((3.0, 30.0), False).request, phase=math.nan, knowledge=BenchKnowledge())

@@ -101,6 +101,7 @@ def test_a_gain_far_faster_than_the_beat_is_quick(corner):
     assert beat.frequency == pytest.approx(160, rel=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("multiple", "turns"), [(2.0, False), (2.5, True)])
 def test_conservative_coupling_locks_beyond_the_lock_in_rate_of_fast_gain(multiple, turns):
     """eps = 143 deg and a difference of the beams that relaxes slowly, against the fields in time."""

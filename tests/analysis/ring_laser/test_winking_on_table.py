@@ -45,6 +45,7 @@ def seen(volts: np.ndarray, step: float) -> tuple[float, complex, float]:
     return float(fit.frequency), complex(second * abs(first) / first**2), float(fit.offset)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rate", [0.03, -0.03, 0.2, -0.2])
 @pytest.mark.parametrize("single_beams", [0.0, 1.2])
 def test_the_beat_is_that_of_the_integrated_equations(rate: float, single_beams: float) -> None:

@@ -23,6 +23,7 @@ def pulls(run, seed, in_order=True, receiver=None, **drifts):
     return np.array([(fit.lock_in_rate - LOCK_IN) / fit.lock_in_rate_u for fit in fits]), fits
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("run", "drifts"),
     [
@@ -47,6 +48,7 @@ def test_what_drifts_is_found_or_counted(run, drifts):
             assert abs(fit.phase_drift - drifts["turned"]) < 5 * fit.phase_drift_u < 1.0
 
 
+@pytest.mark.slow
 def test_a_drift_that_hardly_shows_counts_in_most_runs():
     """A drift of two of its standard uncertainties: where it is left out the runs are too sure."""
     _, fits = pulls("default", 8, drift=0.024)
@@ -55,6 +57,7 @@ def test_a_drift_that_hardly_shows_counts_in_most_runs():
         assert fit.lock_in_drift_u == 0 or abs(fit.lock_in_drift - 0.024) < 3 * fit.lock_in_drift_u < 0.05
 
 
+@pytest.mark.slow
 def test_the_order_of_a_run_costs_nothing_where_nothing_drifts():
     """The slow rates stand in the middle of the default run: its uncertainty is that of steady lasers."""
     _, drifting = pulls("default", 5)
@@ -76,6 +79,7 @@ def test_a_drift_that_nothing_shows_counts_with_its_bound():
     assert abs(ignored.lock_in_rate - LOCK_IN) > 5 * ignored.lock_in_rate_u
 
 
+@pytest.mark.slow
 def test_records_without_an_order_are_asked_for_drifts_only_where_they_do_not_fit():
     """The phase of `fit_rates` and the like: nobody says that an array of records has an order."""
     found, fits = pulls("default", 7, in_order=False, turned=1.0)

@@ -50,6 +50,7 @@ def test_some_at_a_time_say_what_all_say(
         np.testing.assert_allclose(getattr(by_fives, name), getattr(at_once, name), rtol=1e-5, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_fit_holds_little_of_each_record(records: LockInEstimate, monkeypatch: pytest.MonkeyPatch) -> None:
     def traced(some: LockInEstimate) -> tuple[int, int]:
         """Bytes that a fit leaves behind, and takes at most, with the rates of its records."""

@@ -27,6 +27,7 @@ def test_a_receiver_of_minus_46_dbc_costs_less_than_half_a_percent():
     assert "-46" in describe_rates(fit)[1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("hd2", [0.0, 0.005])
 def test_a_gain_corner_at_twice_the_highest_beat_costs_less_than_a_percent(hd2):
     rng = np.random.default_rng(2)
@@ -67,6 +68,7 @@ def test_conservative_coupling_moves_the_gain_corner_by_what_the_words_say():
     assert "too high" not in describe_rates(blurred)[2]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("slowest", [3.0, 8.0])
 @pytest.mark.parametrize("corner_over_fastest", [0.5, 2.0])
 def test_the_interval_holds_what_conservative_coupling_of_60_deg_does(slowest, corner_over_fastest):
@@ -89,6 +91,7 @@ def test_the_gain_corner_has_the_same_sign_in_either_sense(sense):
     assert fit.backscatter_phase == pytest.approx(0.7, abs=5e-3)  # x^2 is left
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("multiples", "periods", "n_seeds"),
     [
@@ -130,6 +133,7 @@ def test_without_distortion_the_error_stands_at_the_bound(multiples, periods, n_
     assert np.mean([f.chi_square / f.degrees_of_freedom for f in fits]) == pytest.approx(0.92, abs=0.15)
 
 
+@pytest.mark.slow
 def test_one_sense_pays_what_linear_algebra_says():
     """The unknowns by plain least squares with r = WL/2W, which is exact enough at 8 WL."""
     rng = np.random.default_rng(5)
@@ -245,6 +249,7 @@ def test_leaving_out_the_bad_rate_names_it():
     assert any("0.265" in s for s in describe_rates(fit))
 
 
+@pytest.mark.slow
 def test_without_a_bad_rate_the_left_out_deviations_are_of_unit_size():
     rng = np.random.default_rng(12)
     made = estimates(both_senses(3, 6, 12), 40, rng)
@@ -313,6 +318,7 @@ def test_records_that_cannot_be_used_are_counted():
     assert fit.lock_in_rate == pytest.approx(whole.lock_in_rate, abs=2 * whole.lock_in_rate_u)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("change", "message"),
     [

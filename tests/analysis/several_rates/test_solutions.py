@@ -13,6 +13,7 @@ from benchmarks.several_rates.__main__ import LOCK_IN, NOISE, drawn, times
 PHASES = np.arange(36) * np.pi / 18
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("reference", ["rate", "beat"])
 def test_rates_close_above_the_threshold_are_found_at_every_phase(reference):
     """1.2, 2 and 4 times lock-in without noise: many starts lie above the slowest rate."""
@@ -22,6 +23,7 @@ def test_rates_close_above_the_threshold_are_found_at_every_phase(reference):
         assert fit.lock_in_rate == pytest.approx(LOCK_IN, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_two_rates_in_one_sense_show_both_solutions():
     """3 and 30 times lock-in without noise: four values and three unknowns that are free have two solutions."""
     rng = np.random.default_rng(0)
@@ -37,6 +39,7 @@ def test_two_rates_in_one_sense_show_both_solutions():
     assert several >= 2
 
 
+@pytest.mark.slow
 def test_a_bent_valley_is_sounded_to_its_ends():
     """3 and 30 times lock-in: at these phases the valley goes on far beyond what its curvature says."""
     for number, phase in enumerate((2.91, 3.36, 5.22, 6.04)):

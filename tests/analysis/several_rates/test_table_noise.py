@@ -23,6 +23,7 @@ def fitted(multiples, rng, *, table=0.0, noise=NOISE, records=1, **options):
     )
 
 
+@pytest.mark.slow
 def test_table_noise_that_the_beats_show_is_counted():
     """Without it 0.1 % of each rate is wrong by many standard uncertainties, and nothing says so."""
     fits = [fitted(both_senses(1.2, 2, 4), np.random.default_rng(n), table=1e-3) for n in range(10)]

@@ -28,6 +28,7 @@ def run(rng, widths, phase):
     return fit_rates(made, reference="beat")
 
 
+@pytest.mark.slow
 def test_uneven_codes_are_counted_and_set_no_flag():
     pulls, us, told = [], [], 0
     for seed in range(12):

@@ -29,6 +29,7 @@ def test_earth_rate_and_tilt_are_plain_geometry(found):
     assert cause(found, "tilt").rms == pytest.approx(1 - ratio, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_distortion_weighs_as_twice_the_rate_in_lock_in_rates(found):
     """Up to 2 X HD2, its mean square half of that over the phase."""
     most = 2 * 20 * 10 ** (-50 / 20)

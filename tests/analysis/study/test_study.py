@@ -91,6 +91,7 @@ def test_picket_fence_has_the_size_that_window_theory_gives() -> None:
     assert 0.04 < found["blackmanharris"].rms < 0.05
 
 
+@pytest.mark.slow
 def test_causes_add_up_to_the_whole() -> None:
     points = ((0.2, 0.01), (1.0, 0.05), (0.5, 0.03), (0.2, 0.15))
     causes = find_causes(points)

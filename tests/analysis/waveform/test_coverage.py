@@ -111,6 +111,7 @@ def test_where_rounding_is_larger_than_the_noise(noise_range):
     assert abs(found - 0.95) < 0.01 + chance(400)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("noise_of", "periods_range"),
     [

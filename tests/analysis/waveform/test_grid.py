@@ -89,6 +89,7 @@ def test_no_frequency_is_a_wrong_line(grid):
     assert not wrong.any(), np.flatnonzero(wrong)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("periods", "x"), [((2.5, 2.8), (1.02, 1.06)), ((2.5, 5.0), (1.02, 1.1)), ((400, 590), (1.02, 1.1))]
 )
@@ -107,6 +108,7 @@ def test_every_record_gives_a_rate(grid):
     assert np.isfinite(grid["estimates"].lock_in_rate_u).all()
 
 
+@pytest.mark.slow
 def test_the_value_is_that_of_a_general_optimiser_all_over_the_grid(grid):
     """The same likelihood minimised by `least_squares` on the samples; rounding is noise above half a level."""
     chosen = np.flatnonzero(grid["significant"] & (grid["noises"] > 0.6))[:60]
@@ -120,6 +122,7 @@ def test_the_value_is_that_of_a_general_optimiser_all_over_the_grid(grid):
         assert raw == pytest.approx(slow, abs=0.02 * u), truth
 
 
+@pytest.mark.slow
 def test_from_the_differential_equation_to_the_rate():
     """Nothing but the equation of motion, integrated; codes; the estimate: no closed form on the way."""
     rng = np.random.default_rng(41)

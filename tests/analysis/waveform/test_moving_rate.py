@@ -57,6 +57,7 @@ def test_a_wandering_phase_costs_neither_bias_nor_honesty(shape, rms):
     assert np.median(u) < 0.0042
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("rms", "x"),
     [
@@ -118,6 +119,7 @@ def codes_of(rng, gyro, signal):
     return converted(noisy(rng, gyro, levels_of(gyro, signal)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("gyro", "also"),
     [
@@ -150,6 +152,7 @@ def test_whatever_moves_smoothly_costs_neither_bias_nor_u(gyro, also):
     assert np.median(u) < 1.25 * float(steady.lock_in_rate_u) / x
 
 
+@pytest.mark.slow
 def test_a_rate_with_noise_of_its_own_is_paid_for_in_u():
     rng = np.random.default_rng(46)
     z = []
@@ -164,6 +167,7 @@ def test_a_rate_with_noise_of_its_own_is_paid_for_in_u():
     assert np.sum(np.square(z)) < 31.8
 
 
+@pytest.mark.slow
 def test_no_polynomials_are_kept_beside_noise_of_the_rate_that_would_lead_it_into_lock_in():
     k, codes, _ = moved_record(np.random.default_rng(87), 0.6, 8.1, 0.0, 1.0, walk=3.9)
     fit = fit_moving_rate(codes - codes.mean(), np.ones(N))

@@ -12,6 +12,7 @@ def _no_beat(n_records):
     return Beat(**{field.name: np.zeros(n_records) for field in fields(Beat)})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("noise", [0.1, 0.2])
 def test_quiet_records_are_better_than_with_white_rounding(noise):
     """The rounding error stands on the harmonics; taken out, the error is honest and below the white bound."""

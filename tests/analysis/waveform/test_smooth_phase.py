@@ -70,6 +70,7 @@ SMALL = [(0.008, 1.5, 0.07, 0.9), (0.02, 1.5, 0.4, 0.9), (0.04, 0.7, 0.04, 0.9),
 SMALL += [(0.02, 1.5, 0.83, 0.0)]  # close to lock-in such a motion changes the ratio by more
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("rad", "cycles", "x", "share"), SMALL)
 def test_a_small_motion_needs_no_path_and_costs_nothing(monkeypatch, rad, cycles, x, share):
     rng, count, rate = np.random.default_rng(15), 150, 0.5
@@ -99,6 +100,7 @@ def test_a_small_motion_needs_no_path_and_costs_nothing(monkeypatch, rad, cycles
     assert np.std((quickly.lock_in_rate - by_path.lock_in_rate) / by_path.lock_in_rate_u) < 0.35
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("cycles", "rad"), [(20.0, 1.5), (20.0, 0.5), (15.0, 1.0)])
 def test_a_motion_beside_the_beat_is_never_given_silently_wrong(cycles, rad):
     """At a third of the beat a spline fits well and is some per cent off: the gate must know."""
@@ -120,6 +122,7 @@ def test_a_motion_beside_the_beat_is_never_given_silently_wrong(cycles, rad):
     assert np.all(off[silent] < 4)
 
 
+@pytest.mark.slow
 def test_a_batch_does_not_stop_at_a_record_that_is_none():
     rng = np.random.default_rng(17)
     good = codes_of(rng, "wander 1 %", 3)

@@ -20,6 +20,7 @@ def nearest_waveform(record, start):
     return complex(*found[3:5]) * np.exp(-1j * np.angle(complex(*found[1:3])))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("third", [0.003, 0.01, -0.02])
 @pytest.mark.parametrize("ratio", [0.02, 0.06, 0.17, 0.4])
 def test_the_ratio_beside_a_third_harmonic_is_that_of_least_squares(ratio, third):

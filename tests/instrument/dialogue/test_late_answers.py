@@ -61,6 +61,7 @@ def test_a_record_that_another_program_asked_for(peer, line_scope, manager, impa
         assert scope.query(":TRIGGER:STATE?") == "SAVE"
 
 
+@pytest.mark.slow
 def test_an_identity_that_comes_when_the_next_one_is_asked_for(line_server, queue, manager, impatient):
     with TDS2014(line_server.resource_name, resource_manager=manager) as scope:
         first = scope.acquire("CH1")
@@ -71,6 +72,7 @@ def test_an_identity_that_comes_when_the_next_one_is_asked_for(line_server, queu
         assert scope.query(":TRIGGER:STATE?") == "SAVE"
 
 
+@pytest.mark.slow
 def test_a_marker_that_comes_when_the_next_one_is_asked_for(line_server, queue, manager, impatient):
     with TDS2014(line_server.resource_name, resource_manager=manager) as scope:
         first = scope.acquire("CH1")

@@ -84,6 +84,7 @@ def test_framed_link_needs_no_patience_for_its_baud_rate():
     visa.close()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("line_end", ["CR", "CRLF", "LFCR", "LF"])
 @on_unix
 def test_scope_with_any_line_end_setting(line_end, manager, impatient):

@@ -52,6 +52,7 @@ def set_up(driver):
     driver.set_trigger(source="CH1", level=0.1, slope="RISE")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kinds", [KINDS[:1] + KINDS[6:8], KINDS[1:5], (KINDS[5], KINDS[8])])
 def test_every_kind_of_fault_each_way(shown, manager, quick, kinds):
     shown.status.esr_mask = 5
@@ -321,6 +322,7 @@ def test_an_answer_that_trickles_in_ends(trickle, manager, quick):
         assert waited == pytest.approx(time.monotonic() - asked, abs=0.5)
 
 
+@pytest.mark.slow
 def test_a_peer_that_trickles_is_no_scope(trickle, manager, quick):
     with pytest.raises((LinkError, TransferError, WrongInstrument)):
         TDS2014(trickle, resource_manager=manager, baud_rate=115_200)

@@ -29,6 +29,7 @@ def noise(seed: int = 1) -> np.ndarray:
     return 5.0 + 0.1 * np.random.default_rng(seed).standard_normal(ROWS)
 
 
+@pytest.mark.slow
 def test_rows_become_means_of_rows(tmp_path: Path) -> None:
     words = noise()
     rows = [
@@ -46,6 +47,7 @@ def test_rows_become_means_of_rows(tmp_path: Path) -> None:
     assert log.rest.temperature[0] == pytest.approx(20 + 3.5 / ROWS, abs=2e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stamp", ["fine", "of 10 ms", "counter"])
 def test_missing_rows_move_neither_the_clock_nor_the_noise(tmp_path: Path, stamp: str) -> None:
     rng = np.random.default_rng(3)
@@ -80,6 +82,7 @@ def test_an_angle_of_each_row_is_one_of_a_row(tmp_path: Path) -> None:
     assert np.allclose(log.recording(counts_per_dps=1000.0).counts, 20.0)
 
 
+@pytest.mark.slow
 def test_a_clock_over_midnight_goes_on(tmp_path: Path) -> None:
     seconds = 86_390.0 + np.arange(40_000) / HERTZ
     clock = [f"{int(at // 3600) % 24:02d}:{int(at // 60) % 60:02d}:{at % 60:06.3f}" for at in seconds]

@@ -32,6 +32,7 @@ def test_an_interval_a_little_longer_than_the_grid_loses_no_rows(interval, step)
     assert clock.places[-1] == 3999
 
 
+@pytest.mark.slow
 def test_where_the_stamps_do_not_tell_it_is_said():
     times, _ = stamps(np.random.default_rng(6), 2000, 3600, 0.05, 1e-3)
     with pytest.raises(FileFormatError, match="output_rate_hz"):

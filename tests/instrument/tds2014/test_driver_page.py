@@ -6,6 +6,7 @@ import runpy
 from pathlib import Path
 
 import matplotlib
+import pytest
 import pyvisa
 
 from instrument.simulated import resource_manager
@@ -13,6 +14,7 @@ from instrument.simulated import resource_manager
 PAGE = Path(__file__).parents[3] / "docs" / "driver.md"
 
 
+@pytest.mark.slow
 def test_page_runs(tmp_path, monkeypatch, capsys):
     blocks = re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), flags=re.DOTALL)
     assert len(blocks) >= 6

@@ -10,6 +10,7 @@ def front_panel(simulated):
     return b"".join(answer or b"" for answer in simulated.execute(b"SET?"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "expected", "unit", "tolerance"),
     [

@@ -5,6 +5,7 @@ import pytest
 from benchmarks import faults
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [11, 14])
 def test_records_are_right_or_refused(seed):
     outcome = faults.run(1200, seed=seed)

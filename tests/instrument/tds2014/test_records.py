@@ -120,6 +120,7 @@ DAMAGE = (
 )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("kind", "place"), DAMAGE)
 def test_damage_to_one_of_several_is_refused_and_over(bench, bench_scope, kind, place):
     waveforms = bench.acquire((1, 2))
@@ -179,6 +180,7 @@ def test_records_of_several_channels(bench):
         assert abs(first.volts - 2 * second.volts).max() < 0.05
 
 
+@pytest.mark.slow
 def test_damaged_record_is_taken_anew(bench, bench_scope):
     bench.acquire(1)
     bench_scope.faults.add(Fault("lost byte", answer=1, bytes_sent=1200))

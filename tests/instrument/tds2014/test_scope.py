@@ -254,6 +254,7 @@ DAMAGES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("damage", DAMAGES.values(), ids=DAMAGES.keys())
 @pytest.mark.parametrize("first_record", [True, False], ids=["first record", "later record"])
 def test_damaged_record_is_refused_and_the_next_one_is_right(scope, line_scope, damage, first_record):

@@ -30,6 +30,7 @@ def test_screen_over_the_link(bench, tmp_path):
     assert bench.query("HARDCOPY:FORMAT?;PORT?") == "EPSON;CENTRONICS"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "kind", [*(pytest.param(kind, marks=pytest.mark.slow) for kind in ("cut answer", "lost answer")), "garbage"]
 )

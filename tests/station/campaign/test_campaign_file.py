@@ -94,6 +94,7 @@ def test_lines_of_arrays_of_tables(campaign: Write) -> None:
     assert line_of(file, ["unit", "LIMIT", "simulation"]) == lines.index("[unit.LIMIT.simulation]") + 1
 
 
+@pytest.mark.slow
 def test_the_shipped_campaign_and_its_schema(capsys: pytest.CaptureFixture[str]) -> None:
     shipped = shipped_settings("campaign")
     assert main(["station", str(shipped), "--check"]) == 0
@@ -125,6 +126,7 @@ def test_a_dry_run_tells_steps_time_and_uncertainty(campaign: Write, capsys: pyt
     assert not Path("tests").exists()
 
 
+@pytest.mark.slow
 def test_doctor_looks_at_the_bench_of_a_campaign(campaign: Write, capsys: pytest.CaptureFixture[str]) -> None:
     cards = (
         '[[instrument]]\nrole = "oscilloscope"\nmodel = "TDS 2012"\ncalibration_due = 2020-01-01\n'

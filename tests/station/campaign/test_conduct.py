@@ -39,6 +39,7 @@ def outcome_of(file: Path, unit: str, **more: Any) -> CampaignOutcome:
 UNITS = [("GOOD", 0.009, "PASS", 0), ("LIMIT", 0.010, "MARGINAL", 6), ("BAD", 0.011, "FAIL", 1)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("unit", "lock_in_rate", "verdict", "code"), UNITS)
 def test_good_at_the_limit_and_bad(
     campaign: Write, unit: str, lock_in_rate: float, verdict: str, code: int
@@ -76,6 +77,7 @@ class Cable:
         return self._take(*arguments)
 
 
+@pytest.mark.slow
 def test_a_step_that_the_bench_ends_is_gone_on_with(campaign: Write, monkeypatch: pytest.MonkeyPatch) -> None:
     cable = Cable(monkeypatch, 4, 5)
     outcome = outcome_of(campaign(steps=1), "BAD")
@@ -99,6 +101,7 @@ def test_steps_behind_a_failure_are_left_out_as_the_campaign_says(campaign: Writ
     assert read_journal(outcome.directory).left == ()  # `--resume` does not take what was left out on purpose
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("line", "told"),
     [
@@ -129,6 +132,7 @@ def test_the_record_is_handed_on(
 LOOP = b"GOOD\nBAD\n\n"
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name != "posix", reason="needs a pseudo-terminal")
 def test_one_unit_after_the_other_by_bar_code(campaign: Write) -> None:
     """A scanner types, and ends with a line; a campaign that does not go does not keep the next unit waiting."""
@@ -235,6 +239,7 @@ def test_a_killed_test_goes_on_at_the_same_step(campaign: Write, capsys: pytest.
     assert "no test of BAD is to be gone on with" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_test_that_was_killed_before_its_record_was_written_gets_it(
     campaign: Write, capsys: pytest.CaptureFixture[str]
 ) -> None:

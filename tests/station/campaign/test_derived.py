@@ -139,6 +139,7 @@ at_most = {1}
 """
 
 
+@pytest.mark.slow
 def test_a_limit_on_the_difference_of_two_steps(campaign: Write) -> None:
     more = WARM.format(0.00050, 1.06)
     outcome = outcome_of(campaign(("u_ppm = 2000.0", "u_ppm = 20000.0"), steps=1, more=more), "GOOD")
@@ -229,6 +230,7 @@ only_if = { step = "first", verdict = ["FAIL", "ERROR"] }
 SECOND = '\n[[step]]\nname = "second"\nmeasurement = "measure"\n'
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("unit", "begun", "verdict"),
     [
@@ -256,6 +258,7 @@ def test_a_step_may_depend_on_how_an_earlier_one_ended(
         outcome_of(file, unit, resumed=outcome.directory)
 
 
+@pytest.mark.slow
 def test_what_an_unlucky_step_asks_for_is_not_left_out(campaign: Write) -> None:
     """`stop_after_failure` leaves out what comes behind a FAIL, but not what is there to tell why."""
     file = campaign(("attempts = 3", "attempts = 3\nstop_after_failure = true"), steps=1, more=f"{LONGER}{SECOND}")
@@ -394,6 +397,7 @@ def test_a_program_killed_behind_its_answer_is_not_run_again(
     assert (tmp_path / "runs.txt").read_text() == "x"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("checks", "code", "said"),
     [
@@ -429,6 +433,7 @@ def test_a_program_that_fails_is_the_bench(
     assert "again: PASS" not in told.out  # a ratio to what is not there
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="groups of processes are of POSIX")
 def test_a_program_that_never_stops_takes_no_memory_and_leaves_no_process(tmp_path: Path) -> None:
     late = "import time; open('begun', 'w').close(); time.sleep(4); open('late', 'w').close()"
@@ -472,6 +477,7 @@ def test_a_program_that_cannot_be_is_told(programs: Callable[..., Path], old: st
     assert said in str(told.value)
 
 
+@pytest.mark.slow
 def test_what_a_failure_leaves_out_stays_out_when_the_test_is_gone_on_with(
     campaign: Write, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -58,6 +58,7 @@ def test_the_list_says_who_said_it_and_when(run: Path, capsys: pytest.CaptureFix
     assert f"{day} Grace: the lamp was new" in shown
 
 
+@pytest.mark.slow
 def test_the_report_shows_what_was_said_and_by_whom(run: Path) -> None:
     assert main(["report", str(run)]) == 0
     page = (run.parent / "report.html").read_text()

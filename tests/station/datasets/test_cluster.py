@@ -61,6 +61,7 @@ def bits(found: list[Gathered]) -> list[bytes]:
     return [array.tobytes() for array in arrays] + [repr([one.labels for one in each]).encode()]
 
 
+@pytest.mark.slow
 def test_the_same_bits_as_in_this_process(cluster: Cluster, pieces: list[list[Piece]]) -> None:
     here = [one for (one,) in ThisProcess().map(estimate_pieces, pieces)]
     assert cluster.count == 2
@@ -75,6 +76,7 @@ def test_the_same_bits_as_in_this_process(cluster: Cluster, pieces: list[list[Pi
     assert bits(found) == bits(here)
 
 
+@pytest.mark.slow
 def test_analyze_gives_the_same_document(
     cluster: Cluster, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -42,6 +42,7 @@ def test_every_record_and_fact_of_every_kind_of_run(place: str, exported: dict[s
         ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("place", PLACES)
 def test_the_same_result_to_the_last_bit(place: str, exported: dict[str, str]) -> None:
     for name in ("single", "fog_table", "fog_witness") if place == "all.parquet" else ("fog_table",):

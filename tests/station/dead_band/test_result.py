@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from analysis import find_dead_band, simulate_sweep
 from station.dead_band.measurement import DeadBandEvaluation, draw_sweep, result, sections
@@ -42,6 +43,7 @@ def test_a_hyperbola_that_disagrees_is_told(sweep: Sweep) -> None:
     assert "no_hyperbola" in none.flags
 
 
+@pytest.mark.slow
 def test_labels_of_the_figure_do_not_overlap(sweep: Sweep) -> None:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure

@@ -46,6 +46,7 @@ def test_the_time_base_follows_from_the_rate_and_has_a_floor(tmp_path: Path) -> 
     assert time_base(SweepStep("up", 0.001), settings_of(tmp_path)) == SLOWEST_S == 0.05
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2, 3])
 @pytest.mark.parametrize("latitude", [0.0, 65.0])
 def test_the_truth_lies_within_the_stated_uncertainty(sweep: Sweep, seed: int, latitude: float) -> None:
@@ -123,6 +124,7 @@ class Interrupting(Progress):
             raise KeyboardInterrupt
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("after", "leg"), [(4, 0), (20, 13)])
 def test_a_sweep_cut_short_goes_on_where_it_stopped(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, sweep: Sweep, after: int, leg: int
@@ -149,6 +151,7 @@ def test_a_sweep_cut_short_goes_on_where_it_stopped(
     assert len(one["resumed_at"]) == 1
 
 
+@pytest.mark.slow
 def test_hysteresis_is_found_told_and_paid_for(sweep: Sweep) -> None:
     """Records of two gyros: coming from outside, the beat ends 40 % below the rate at which it begins."""
     plain, early = (

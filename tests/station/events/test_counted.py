@@ -23,6 +23,7 @@ def events_of(path: Path, kind: str) -> list[dict[str, object]]:
     return [one for one in lines if one["event"] == kind]
 
 
+@pytest.mark.slow
 def test_records_are_counted_over_all_rates(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Two rates in both senses are four parts of one count of eight, with the time left of all."""
     monkeypatch.chdir(tmp_path)

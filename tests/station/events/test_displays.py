@@ -134,6 +134,7 @@ def terminal() -> Iterator[tuple[int, int]]:
     os.close(ours)
 
 
+@pytest.mark.slow
 def test_a_measurement_is_watched_and_stopped_from_another_shell(
     terminal: tuple[int, int], state: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -53,6 +53,7 @@ def test_at_one_rate_all_so_far_say_what_the_run_says() -> None:
     assert abs(last.value - result["lock_in_rate_dps"]) < last.u / 2
 
 
+@pytest.mark.slow
 def test_at_several_rates_distortion_is_taken_out() -> None:
     result = json.loads((GOLDEN / "several.json").read_text(encoding="utf-8"))
     found = seen("several")

@@ -45,6 +45,7 @@ def from_logs(fog_settings):
     return evaluate
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", ["table", "selfcal", "eps", "figures"])
 def test_logs_give_the_numbers_of_their_run(taken, from_logs, tmp_path: Path, command: str) -> None:
     sections: dict[str, Any] = {

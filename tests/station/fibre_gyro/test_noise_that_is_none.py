@@ -41,6 +41,7 @@ def low_pass(hertz: float) -> Noise:
     return lambda rng, white: np.asarray(lfilter([1 - keep], [1, -keep], white))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(4))
 def test_white_noise_says_nothing(tmp_path: Path, seed: int) -> None:
     assert not said(tmp_path, lambda rng, white: white, seed)
@@ -50,6 +51,7 @@ def test_noise_of_all_slow_terms_says_nothing(tmp_path: Path) -> None:
     assert not said(tmp_path, lambda rng, white: white + 2e-6 * np.cumsum(rng.standard_normal(SIZE)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("noise", "named"),
     [
@@ -76,6 +78,7 @@ def test_what_is_no_noise_of_the_model_is_named(tmp_path: Path, noise: Noise, na
     assert named in said(tmp_path, noise)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("noise", "corner"),
     [
@@ -104,6 +107,7 @@ def test_a_filter_that_is_stated_is_taken_out(noise: Noise, corner: float) -> No
     assert np.sqrt(np.mean(np.square(pulls))) < 1.6 and abs(np.mean(pulls)) < 0.8, pulls
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("true", "stated", "named"), [(3.0, 30.0, "the power of the model"), (30.0, 1e-3, "so slowly")]
 )

@@ -63,12 +63,14 @@ def test_commands_that_take_their_way_do_not_widen_the_step() -> None:
     assert 0.005 < found.jitter_s < 0.013  # 30 ms / sqrt(12)
 
 
+@pytest.mark.slow
 def test_another_filter_and_steps_too_fast_are_told() -> None:
     assert step_response(*with_interval("fifth", 10.0)).misfit > 1.5
     slow, train = steps("first", 1.0, 0.0, seed=1, half_s=0.3)
     assert not step_response(slow, 0.01, train).settled
 
 
+@pytest.mark.slow
 def test_a_step_that_did_not_come_is_told_and_noise_is_no_response() -> None:
     words, train = steps("first", 20.0, 0.0, seed=6)
     assert np.isnan(step_response(words, 0.01, train).odd_step_s)
@@ -81,6 +83,7 @@ def test_a_step_that_did_not_come_is_told_and_noise_is_no_response() -> None:
         step_response(words, 0.01, StepTrain(train.at_s / 20, train.height, exact=True))
 
 
+@pytest.mark.slow
 def test_many_words_to_a_step_are_no_reason_to_lose_steps() -> None:
     words, train = steps("first", 2.0, 0.0, seed=7, half_s=4.0, count=2, interval_s=0.0004)
     found = step_response(words, 0.0004, train)
@@ -93,6 +96,7 @@ def with_interval(form: str, corner: float) -> tuple[np.ndarray, float, StepTrai
     return words, 0.01, train
 
 
+@pytest.mark.slow
 def test_intervals_hold() -> None:
     """Of 10 draws with much noise; the form is told in nearly all."""
     off, named = [], 0
@@ -116,6 +120,7 @@ def respond(capsys: pytest.CaptureFixture[str], *arguments: object, code: int = 
     return json.loads(capsys.readouterr().out)
 
 
+@pytest.mark.slow
 def test_a_log_with_the_injected_step_beside_the_output(tmp_path, monkeypatch, capsys) -> None:
     monkeypatch.chdir(tmp_path)
     words, train = steps("first", 10.0, 0.0, seed=4, half_s=0.5)
@@ -151,6 +156,7 @@ def test_a_table_that_swings(tmp_path, monkeypatch, capsys, sense: int) -> None:
     assert respond(capsys, *names[:3], code=4)["error"]["message"].count("four frequencies")
 
 
+@pytest.mark.slow
 def test_the_simulated_gyro_with_a_filter_and_a_limit(tmp_path, monkeypatch, capsys) -> None:
     monkeypatch.chdir(tmp_path)
     own = tmp_path / "own.toml"
@@ -161,6 +167,7 @@ def test_the_simulated_gyro_with_a_filter_and_a_limit(tmp_path, monkeypatch, cap
     assert abs(found["gain"] - 1) < 1e-4
 
 
+@pytest.mark.slow
 def test_of_a_log_of_three_axes_the_one_that_is_named_is_used(tmp_path, monkeypatch, capsys) -> None:
     monkeypatch.chdir(tmp_path)
     words, train = steps("first", 10.0, 0.0, seed=4, half_s=0.5)
@@ -177,6 +184,7 @@ def test_of_a_log_of_three_axes_the_one_that_is_named_is_used(tmp_path, monkeypa
     assert "none of the axis A" in respond(capsys, log, "--config", own, code=4)["error"]["message"]
 
 
+@pytest.mark.slow
 def test_no_filter_is_a_lower_bound(tmp_path, monkeypatch, capsys) -> None:
     monkeypatch.chdir(tmp_path)
     assert main(["fog", "response", "--no-report"]) == 0

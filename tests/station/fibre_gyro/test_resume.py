@@ -56,6 +56,7 @@ def points(document: dict[str, Any]) -> Any:
     return next(document[name] for name in ("axes", "points", "runs") if name in document)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("command", "at"),
     [

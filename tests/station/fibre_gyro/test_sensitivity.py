@@ -64,6 +64,7 @@ def test_a_drift_between_the_references_takes_nothing(tmp_path, monkeypatch, cap
     assert (found["standing"], found["verdict"], found["stimulus_unit"]) == ("stands", "PASS", "G")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("of", "slope_scale"), [("slope", 1.0), ("change", 2.0)])
 def test_intervals_hold_what_they_say(of, slope_scale):
     """Noise, scatter from visit to visit and a drift of its own; 95 % of 150 within three binomial deviations."""

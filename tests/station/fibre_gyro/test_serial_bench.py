@@ -140,6 +140,7 @@ def test_the_operator_is_asked_for_each_value_of_a_stimulus_and_for_each_positio
     ]
 
 
+@pytest.mark.slow
 def test_a_lost_frame_is_told_and_a_slow_table_leaves_points_out(served, fog_settings, result_of) -> None:
     settings = fog_settings(
         gyro=GYRO, table={"axes": ["Z"], "rates_dps": [60.0, 66.0, 70.0], "turns": 1, "settle_s": 0.0}
@@ -244,6 +245,7 @@ def test_the_two_pi_error_over_the_link(served, fog_settings, result_of) -> None
     assert bench.server.commands[-1][0] == "close_loop"
 
 
+@pytest.mark.slow
 def test_the_operator_is_asked_for_every_run_and_temperature(served, fog_settings, result_of) -> None:
     settings = fog_settings(
         gyro=GYRO,
@@ -349,6 +351,7 @@ class _Doubting:
         return replace(self._record(planned, progress), doubts=("counts: perhaps data_bits = 7",))
 
 
+@pytest.mark.slow
 def test_three_axes_as_angles_by_a_clock_that_is_fast(fog_settings, result_of) -> None:
     """K of an angle a frame rests on the rate of the frames: by the stated rate it would be 8 % off."""
     settings = fog_settings(

@@ -61,6 +61,7 @@ def test_both_ends_up_give_the_earth_rate_without_the_latitude(taken) -> None:
     assert abs(axis["bias_dph"] - 0.5) < 4 * axis["bias_u_dph"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("simulation", "gyro", "path", "table_ppm", "self_ppm"),
     [
@@ -156,6 +157,7 @@ def test_open_loop_finds_the_two_pi_error(taken, eps: float) -> None:
     assert "does not see L·D/λ" in " ".join(result.result.sentences)
 
 
+@pytest.mark.slow
 def test_figures_of_merit_of_a_gyro_with_known_faults(taken) -> None:
     simulation = {
         "seed": 5,
@@ -192,6 +194,7 @@ def test_figures_tell_a_cubic_error_from_a_dead_zone(taken) -> None:
     assert dead.document()["temperature_coefficient_ppm"] is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", ["table", "selfcal", "eps", "figures"])
 def test_every_report_is_one_self_contained_page(taken, command: str, tmp_path: Path) -> None:
     small = {"runs": 2, "rates_dps": [5.0, 50.0, 100.0], "temperatures_c": [60.0]}

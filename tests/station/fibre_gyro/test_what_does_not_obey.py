@@ -57,6 +57,7 @@ def test_a_table_run_that_obeys_has_nothing_to_watch_but_its_repetitions(tmp_pat
     assert [one for one in table(tmp_path) if "no run repeats another" not in one] == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("spoil", "named"),
     [

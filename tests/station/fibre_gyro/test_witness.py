@@ -47,6 +47,7 @@ def record(rng, step: int, *, span_v: float = 6.4, step_s: float = 4.8967e-6, n:
     return volts + rng.normal(0, 0.02, n)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("step", [5001.0, -3333.0])
 def test_the_simulated_scope_finds_the_modulator(fog_settings, step: float) -> None:
     settings = fog_settings(
@@ -91,6 +92,7 @@ def test_an_error_of_the_gain_is_in_every_volt_and_in_no_ratio(fog_settings) -> 
     assert abs(found.two_pi_error.value) > 20 * found.two_pi_voltage_record_u / 8
 
 
+@pytest.mark.slow
 def test_more_records_do_not_take_the_rounding_away(fog_settings, tmp_path: Path) -> None:
     rng = np.random.default_rng(5)
     for n in range(24):

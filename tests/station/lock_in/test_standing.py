@@ -72,6 +72,7 @@ def test_a_result_whose_inputs_are_known_is_green(tmp_path: Path) -> None:
     assert (document["standing"], document["standing_reasons"]) == ("stands", [])
 
 
+@pytest.mark.slow
 def test_a_bound_that_nobody_stated_as_the_largest_part_is_amber(tmp_path: Path) -> None:
     known = evaluated(tmp_path, toml=DISTORTION_MEASURED)
     one = evaluated(tmp_path, toml=DISTORTION_MEASURED.replace("-70", "0"))

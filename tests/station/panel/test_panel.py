@@ -105,6 +105,7 @@ def test_one_holds_the_control_and_gives_it_away(panel: dict[str, str]) -> None:
     assert "You have the control" in second.post("/control/take", name="Bo")
 
 
+@pytest.mark.slow
 def test_the_language_of_the_browser_and_the_one_that_is_chosen(shared: dict[str, str]) -> None:
     visitor = Visitor(shared["control"])
     assert 'lang="zh"' in visitor.ask("GET", "/", Accept_Language="zh-CN,en;q=0.5")[2][:60]
@@ -152,6 +153,7 @@ def test_every_measurement_has_a_form_of_its_settings(name: str, real: bool, tmp
     assert "90" in wrong["site.latitude_deg"]
 
 
+@pytest.mark.slow
 def test_mistakes_stand_beside_their_fields_and_nothing_starts(panel: dict[str, str]) -> None:
     visitor = Visitor(panel["control"])
     page = visitor.post("/measure/measure", do="begin", **{"measurement.records": "-3", "gyro.name": "<i>x"})
@@ -174,6 +176,7 @@ def test_mistakes_stand_beside_their_fields_and_nothing_starts(panel: dict[str, 
 # ---- measuring
 
 
+@pytest.mark.slow
 def test_a_measurement_from_the_form_to_its_report(panel: dict[str, str], tmp_path: Path) -> None:
     visitor = Visitor(panel["control"])
     visitor.post("/measure/measure", do="begin", unit="SN <7>", operator="Ann", note="", **SHORT)
@@ -205,6 +208,7 @@ def test_a_measurement_from_the_form_to_its_report(panel: dict[str, str], tmp_pa
     assert "lock-in rate" in visitor.ask("POST", "/runs/compare", body)[2]
 
 
+@pytest.mark.slow
 def test_views_come_as_events_and_go_on_from_where_a_reader_was(panel: dict[str, str]) -> None:
     visitor = Visitor(panel["control"])
     visitor.post("/measure/measure", do="begin", **SHORT)
@@ -242,6 +246,7 @@ def test_stop_and_go_on(panel: dict[str, str]) -> None:
     visitor.until("/runs?from=abc", lambda text: "Runs: 2<" in text)
 
 
+@pytest.mark.slow
 def test_a_killed_panel_costs_nothing_and_the_next_one_finds_the_measurement(tmp_path: Path) -> None:
     process = subprocess.Popen(
         [sys.executable, "-m", "station.cli", "panel", str(tmp_path), "--port", "0", "--json"],
@@ -264,6 +269,7 @@ def test_a_killed_panel_costs_nothing_and_the_next_one_finds_the_measurement(tmp
         assert "deg/s" in page
 
 
+@pytest.mark.slow
 def test_a_question_is_answered_in_the_page(panel: dict[str, str], tmp_path: Path) -> None:
     small = write_campaign(tmp_path)
     campaign = small.read_text(encoding="utf-8").replace("reports = false", "reports = false\nask_for_unit = true")
@@ -303,6 +309,7 @@ def test_a_question_is_answered_in_the_page(panel: dict[str, str], tmp_path: Pat
 # ---- bad input
 
 
+@pytest.mark.slow
 def test_what_cannot_be_is_one_clear_line(tmp_path: Path) -> None:
     def told(*arguments: object) -> tuple[int, str]:
         command = [sys.executable, "-m", "station.cli", "panel", *map(str, arguments)]

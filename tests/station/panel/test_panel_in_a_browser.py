@@ -53,6 +53,7 @@ def until(
     return found
 
 
+@pytest.mark.slow
 def test_every_page_fits_every_screen_in_both_languages(tmp_path: Path) -> None:
     with running_panel(tmp_path) as addresses, Browser(tmp_path / "profile") as browser:
         base = addresses["control"].partition("/?")[0]
@@ -72,6 +73,7 @@ def test_every_page_fits_every_screen_in_both_languages(tmp_path: Path) -> None:
         assert browser.troubles == []
 
 
+@pytest.mark.slow
 def test_from_the_button_to_the_result_with_a_killed_panel_between(tmp_path: Path) -> None:
     port = ""
     with Browser(tmp_path / "profile") as browser:
@@ -118,6 +120,7 @@ def test_a_verdict_in_the_station_and_the_next_unit(tmp_path: Path) -> None:
         assert browser.troubles == []
 
 
+@pytest.mark.slow
 def test_a_cable_that_is_pulled_and_plugged_in_again(tmp_path: Path) -> None:
     def serve(port: str) -> tuple[subprocess.Popen[str], str]:
         words = [sys.executable, "-m", "station.cli", "simulate", "--tcp", port]

@@ -139,6 +139,7 @@ def test_what_is_said_of_a_campaign_is_put_into_every_language(file: str) -> Non
     assert_put([one for one in said if one != "gyrolock test journal"])
 
 
+@pytest.mark.slow
 def test_what_is_noticed_of_a_result_is_put_into_every_language() -> None:
     flags = [str(one.name).lower() for one in Flag]
     assert_put([describe_flag(one) for one in flags])
@@ -170,6 +171,7 @@ def test_what_instruments_have_to_say_is_put_into_every_language() -> None:
     assert_put(said)
 
 
+@pytest.mark.slow
 def test_what_happens_on_the_way_is_put_into_every_language() -> None:
     said = []
     for file, tree in parsed("station/**/*.py", "instrument/**/*.py"):
@@ -181,6 +183,7 @@ def test_what_happens_on_the_way_is_put_into_every_language() -> None:
     assert_put(said)
 
 
+@pytest.mark.slow
 def test_why_there_is_no_result_is_put_into_every_language() -> None:
     said = raised("NoUsableSignal", "station/**/*.py") + raised(
         "InstrumentError|WrongInstrument", "station/**/*.py"

@@ -25,6 +25,7 @@ def streamed(path: Path, processes: int = 1) -> Evaluated:
         return evaluate_saved(path, workers, Progress(quiet=True), config=None, choices={})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["single", "several", "channel", "quadrature"])
 def test_streamed_and_from_memory_are_the_same(name: str, tmp_path: Path) -> None:
     path = Path(shutil.copy(GOLDEN / f"{name}.sqlite", tmp_path))
@@ -33,6 +34,7 @@ def test_streamed_and_from_memory_are_the_same(name: str, tmp_path: Path) -> Non
     assert list(as_stream.rows()) == list(from_memory.rows())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["single", "several", "turning", "channel"])
 def test_estimates_that_lie_on_the_disk_give_the_same(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -70,6 +72,7 @@ BLOCKS = (
 )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["single", "several"])
 def test_numbers_do_not_depend_on_how_many_records_are_looked_at_together(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

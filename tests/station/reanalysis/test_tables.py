@@ -135,6 +135,7 @@ def test_two_writers_and_strangers_are_refused(ending: str, tree: Path, tmp_path
     assert table.read_text() == "something else\n"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ending", KINDS)
 @pytest.mark.parametrize("limit", [pytest.param(0, marks=pytest.mark.slow), 5000])
 def test_a_disk_that_is_full_costs_no_table(ending: str, limit: int, tree: Path, tmp_path: Path) -> None:
@@ -224,6 +225,7 @@ def test_two_gyros_are_compared_by_their_means(tree: Path) -> None:
     assert math.isnan(one.largest_over_u)
 
 
+@pytest.mark.slow
 def test_runs_are_compared_by_their_results_with_every_input_counted(tree: Path) -> None:
     single, channel, several = (
         read_records(str(tree / f"{name}.sqlite"), {}, ThisProcess()) for name in ("single", "channel", "several")

@@ -84,6 +84,7 @@ def test_verdict_unit_and_date_are_on_the_first_screen(
     assert re.search(r"Tested 20\d\d-\d\d-\d\d", text)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dark", [False, True], ids=["day", "night"])
 @pytest.mark.parametrize("page", PAGES)
 def test_every_text_can_be_read(browser: Browser, pages: dict[str, Path], page: str, dark: bool) -> None:
@@ -117,6 +118,7 @@ def test_samples_are_seen_under_the_fit(browser: Browser, pages: dict[str, Path]
     assert samples.sum() > 2000
 
 
+@pytest.mark.slow
 def test_it_prints_on_a4_with_its_parts_together(browser: Browser, pages: dict[str, Path]) -> None:
     browser.open(pages["record"])
     paper = PdfReader(io.BytesIO(browser.pdf())).pages
@@ -141,6 +143,7 @@ def test_what_must_stay_together_fits_on_a_page(browser: Browser, pages: dict[st
     assert max(heights) < 1016
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("page", PAGES)
 def test_it_needs_no_script_and_nothing_from_elsewhere(pages: dict[str, Path], page: str) -> None:
     text = pages[page].read_text(encoding="utf-8")

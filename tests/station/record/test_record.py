@@ -94,6 +94,7 @@ def test_junit_is_read_by_another_program(tested: TestedUnit) -> None:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("verdict", "kind"), [("FAIL", "Failure"), ("MARGINAL", "Failure"), ("ERROR", "Error")])
 def test_no_reader_of_junit_takes_another_verdict_for_a_pass(tested: TestedUnit, verdict: str, kind: str) -> None:
     record = json.loads(json.dumps(tested.record))

@@ -59,6 +59,7 @@ def another_verdict(record: Any) -> None:
     record["steps"][0]["limits"][0]["verdict"] = record["steps"][0]["verdict"] = "FAIL"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("change", "sums_too", "said"),
     [

@@ -83,6 +83,7 @@ def square(times: np.ndarray) -> np.ndarray:
     return 0.25 * np.sign(np.sin(2 * np.pi * 151 * times))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("signals", "words"),
     [
@@ -118,6 +119,7 @@ def beat(frequency: float, depth: float = 0.4) -> Callable[[np.ndarray], np.ndar
     return signal
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("frequency", [0.05, 0.28, 1.3, 5.0, 25.0])
 @pytest.mark.parametrize("expected_over_true", [0.4, 1.0, 2.5])
 def test_a_slow_beat_is_found(frequency: float, expected_over_true: float) -> None:
@@ -138,6 +140,7 @@ def test_a_slow_beat_is_found(frequency: float, expected_over_true: float) -> No
     assert ("LINE" in source) == (found.seconds_per_division >= 0.1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("times_as_high", [8.0, 60.0])
 def test_a_beat_that_is_much_higher_at_the_next_rate_is_found(times_as_high: float) -> None:
     # as behind an amplifier that is slow for the beat of the fast run

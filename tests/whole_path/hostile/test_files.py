@@ -59,6 +59,7 @@ def test_what_is_no_plain_file_is_refused_at_once(tmp_path: Path) -> None:
         assert any(kind in line for kind in ("a pipe", "a directory", "a device", "is neither", "run"))
 
 
+@pytest.mark.slow
 def test_a_file_that_claims_to_be_a_record_and_is_as_large_as_a_film_is_refused(tmp_path: Path) -> None:
     """198 MB and 240 MB; a whole one of each kind stands at their beginning."""
     for name, head, megabytes in (("x.csv", csv_file(), 198), ("x.isf", isf_file(), 240), ("x.toml", b"", 198)):
@@ -93,6 +94,7 @@ def test_numbers_and_brackets_without_end_are_refused(tmp_path: Path) -> None:
     assert not any("defect" in line for _, line in said)
 
 
+@pytest.mark.slow
 def test_ten_thousand_files_are_read_one_after_the_other(tmp_path: Path) -> None:
     """More than a process may have open; the one that is no record costs nothing of the others."""
     (tmp_path / "x.csv").write_text("no record")

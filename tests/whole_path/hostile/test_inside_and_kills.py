@@ -12,6 +12,7 @@ from benchmarks.damage import fuzz_files
 ROOT = os.path.dirname(os.path.dirname(os.path.abspath(kills.__file__)))
 
 
+@pytest.mark.slow
 def test_a_system_call_that_fails_loses_nothing() -> None:
     """Some of all calls; `python -m benchmarks.damage.inside_faults` lets every one fail."""
     command = [sys.executable, "-m", "benchmarks.damage.inside_faults", "--first", "5", "--step", "29"]
@@ -31,6 +32,7 @@ def test_kill_9_loses_no_acknowledged_record() -> None:
     assert done.returncode == 0, done.stdout + done.stderr
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="limits of memory are those of Linux")
 @pytest.mark.parametrize(
     ("kind", "count"), [("csv", 60), ("isf", 150), ("logs", 400), ("toml", 80), ("runs", 40), ("commands", 60)]

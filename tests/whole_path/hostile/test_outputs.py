@@ -49,6 +49,7 @@ def whole_run(folder: Path, *files: str) -> None:
     assert sorted(file.name for file in path.parent.iterdir()) == [*files, "run.sqlite"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("where", ["2>/dev/full", pytest.param("2> >(true)", marks=pytest.mark.slow)])
 def test_progress_that_cannot_be_written_touches_nothing(tmp_path: Path, where: str) -> None:
     done = run_shell(tmp_path, f"{MEASURE} --no-report --json {where}")
@@ -57,6 +58,7 @@ def test_progress_that_cannot_be_written_touches_nothing(tmp_path: Path, where: 
     whole_run(tmp_path)
 
 
+@pytest.mark.slow
 def test_with_all_streams_closed_as_under_a_daemon_the_run_is_whole(tmp_path: Path) -> None:
     assert run_shell(tmp_path, f"{MEASURE} <&- >&- 2>&-").returncode == 5
     whole_run(tmp_path, "report.html")
@@ -72,6 +74,7 @@ def test_a_result_that_cannot_be_written_is_told_by_the_exit_code(tmp_path: Path
     assert "Traceback" not in done.stderr
 
 
+@pytest.mark.slow
 def test_a_result_that_is_not_read_to_its_end(tmp_path: Path) -> None:
     done = run_shell(tmp_path, f"{MEASURE[5:]} --no-report --jsonl | head -1; exit ${{PIPESTATUS[0]}}")
     assert done.returncode == 5
@@ -79,6 +82,7 @@ def test_a_result_that_is_not_read_to_its_end(tmp_path: Path) -> None:
     whole_run(tmp_path)
 
 
+@pytest.mark.slow
 def test_an_encoding_that_lacks_letters_writes_others(tmp_path: Path) -> None:
     done = run_shell(tmp_path, f"{MEASURE} --full --no-report --note Ωµ", PYTHONIOENCODING="ascii")
     assert done.returncode == 0, done.stderr
@@ -90,6 +94,7 @@ def test_an_encoding_that_lacks_letters_writes_others(tmp_path: Path) -> None:
     assert r"Kreisel \u03a9" in done.stdout or r"\u03a9µ" in done.stdout
 
 
+@pytest.mark.slow
 def test_a_verdict_that_cannot_be_written_is_not_one(tmp_path: Path) -> None:
     (tmp_path / "limits.toml").write_text("[limits]\nlock_in_rate_dps = 0.001\n")
     analyze = f"{COMMAND} analyze {SAVED} --config limits.toml"
@@ -97,6 +102,7 @@ def test_a_verdict_that_cannot_be_written_is_not_one(tmp_path: Path) -> None:
     assert run_shell(tmp_path, f"{analyze} >/dev/full").returncode == 5
 
 
+@pytest.mark.slow
 def test_every_command_stands_broken_streams() -> None:
     """Some commands; `python -m benchmarks.damage.streams` runs them all."""
     command = [sys.executable, "-m", "benchmarks.damage.streams", "--quick"]
@@ -155,6 +161,7 @@ sys.exit(main(sys.argv[1:]))
 """
 
 
+@pytest.mark.slow
 def test_a_report_that_cannot_be_written_keeps_the_result(tmp_path: Path) -> None:
     command = [sys.executable, "-c", LONG_REPORT, "measure", "--config", "my.toml", "--json"]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=100)
@@ -199,6 +206,7 @@ def test_a_full_disk_is_told_as_what_it_is(tmp_path: Path, kilobytes: int) -> No
 ESCAPES = "RLG \x1b[2J\x1b]0;x\x07 [red]7[/red] :smile: \u202e\x9b1m $\\frac{"
 
 
+@pytest.mark.slow
 def test_nothing_of_others_acts_on_the_terminal_or_in_the_report(tmp_path: Path) -> None:
     name = json.dumps(ESCAPES)
     (tmp_path / "my.toml").write_text(f"[gyro]\nname = {name}\n", encoding="utf-8")

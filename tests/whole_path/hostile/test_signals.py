@@ -60,6 +60,7 @@ def test_a_signal_ends_a_run_as_a_whole(tmp_path: Path, gyrolock, cut_gyrolock, 
 SLOW = pytest.mark.slow
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "command",
     [
@@ -85,6 +86,7 @@ def front_panel(resource: str) -> str:
     return settings
 
 
+@pytest.mark.slow
 def test_the_front_panel_is_put_back(tmp_path: Path, start_gyrolock, serve_scope) -> None:
     scope = serve_scope("--tcp", "0")
     before = front_panel(scope.resource)
@@ -128,6 +130,7 @@ def test_a_second_signal_ends_at_once(tmp_path: Path) -> None:
         assert process.wait(timeout=20) == 143
 
 
+@pytest.mark.slow
 def test_nohup_is_obeyed(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "station.cli", "measure", "--config", "my.toml", "--records", "9", "--jsonl"]
     process = subprocess.Popen(
@@ -145,6 +148,7 @@ def test_nohup_is_obeyed(tmp_path: Path) -> None:
     assert len(lines) == 1 + 9 - 1
 
 
+@pytest.mark.slow
 def test_a_closed_terminal_ends_the_run_and_loses_nothing(tmp_path: Path) -> None:
     """The program is the leader of a session on a terminal of its own, which then goes."""
     pid, terminal = pty.fork()
@@ -168,6 +172,7 @@ def test_a_closed_terminal_ends_the_run_and_loses_nothing(tmp_path: Path) -> Non
     assert (run.path.parent / "report.html").exists() == bool(records)
 
 
+@pytest.mark.slow
 def test_a_signal_while_the_result_is_made_leaves_a_run_that_says_so(tmp_path: Path, gyrolock) -> None:
     code = """
 import os, signal, sys

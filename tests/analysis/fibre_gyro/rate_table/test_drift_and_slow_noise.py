@@ -91,6 +91,7 @@ def test_the_noise_model_counts_unless_the_words_scatter_more() -> None:
     assert not by_model and u == pytest.approx(np.full(6, 1 / np.sqrt(2000)), rel=0.3)
 
 
+@pytest.mark.slow
 def test_the_tilt_holds_where_the_noise_is_known_from_few_values() -> None:
     """100 trials each at 95 %: fewer than 81 once in a million, all 200 once in 30 000."""
     rng, held = np.random.default_rng(7), {0.02: 0, 2.0: 0}

@@ -42,6 +42,7 @@ def test_the_data_choose_the_terms(truth: dict[str, float], terms: tuple[str, ..
         assert not found.error_ppm.any()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("truth", [{"cubic": 0.0, "asymmetry": 0.0}, {"cubic": 20e-6, "asymmetry": 0.0}])
 def test_the_nonlinearity_lies_in_its_interval(truth: dict[str, float]) -> None:
     """40 trials at 95 %: fewer than 29 once in a million."""

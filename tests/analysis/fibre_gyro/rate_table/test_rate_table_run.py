@@ -66,6 +66,7 @@ def test_a_missing_sense_is_named() -> None:
         table_runs([0.0], [1.0], 1.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("white", "irreproducible", "predicted"),
     [
@@ -109,6 +110,7 @@ def test_the_fit_is_that_of_scipy() -> None:
     assert fit.degrees_of_freedom == 6
 
 
+@pytest.mark.slow
 def test_scale_factor_and_even_part_lie_where_their_uncertainties_say() -> None:
     rng = np.random.default_rng(3)
     white = 0.005 / 60 / np.sqrt(540)

@@ -23,6 +23,7 @@ BOTH = np.concatenate([RATES, -RATES])
 K = 250.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("beyond", [0.0, 20.0])
 def test_intervals_hold_whatever_the_scatter_between_the_runs(beyond: float) -> None:
     """300 trials: 92 to 98 % would be missed by chance once in 30; these bounds less than once in a million."""

@@ -171,6 +171,7 @@ def test_letter_series_differs_where_the_manual_says(make_bench):
     assert ";VERTICAL:POSITION 0.0E0;SCALE 2.0E0;:MATH:FFT:HORIZONTAL" in bench.ask("MATH?")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("model", ["TDS2014", "TPS2014", "TDS1002"])
 def test_no_string_upsets_the_parser(model):
     outcome = fuzz.run(8000, seed=20090417, model=model)

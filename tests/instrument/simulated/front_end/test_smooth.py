@@ -77,6 +77,7 @@ def test_noise_at_the_converter_has_its_rms(make_bench, limit):
     assert spectrum[: spectrum.size // 2].mean() == pytest.approx(spectrum[spectrum.size // 2 :].mean(), rel=0.2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("slope", ["RISE", "FALL"])
 @pytest.mark.parametrize("noise", [0.0, 0.01, 0.05])
 def test_trigger_has_the_same_jitter(make_bench, noise, slope):

@@ -118,6 +118,7 @@ def takes_a_record(bench):
     return False
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("coupling", "frequency", "triggers"),
     [
@@ -150,6 +151,7 @@ def pulse_bench(make_bench, signal, when, width, polarity="POSITIVE"):
     return bench
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("when", "width", "shown"),
     [  # pulses of 100, 200 and 300 us; s from the leading edge to the trigger, and the width of the pulse shown

@@ -71,6 +71,7 @@ def test_any_line(make_bench, standard, inverted):
         assert error < 0.2e-6
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("standard", ["PAL", "NTSC"])
 @pytest.mark.parametrize("sync", ["ODD", "EVEN", "FIELD"])
 def test_fields(make_bench, standard, sync):
@@ -80,6 +81,7 @@ def test_fields(make_bench, standard, sync):
         assert error < 0.2e-6
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("standard", "line"), [("PAL", 1), ("PAL", 17), ("PAL", 310), ("PAL", 400), ("NTSC", 21), ("NTSC", 500)]
 )
@@ -89,6 +91,7 @@ def test_one_line_by_its_number(make_bench, standard, line):
         assert error < 0.2e-6
 
 
+@pytest.mark.slow
 def test_wrong_polarity_and_small_signals_do_not_trigger(make_bench):
     for signal, settings in (
         (video("PAL"), "CH1:SCALE 5"),

@@ -120,6 +120,7 @@ def test_words_beyond_32_bits(tmp_path: Path) -> None:
     assert compiled(c_text(small), ["GYRO_NUMBERS_Z_N_0_1"], tmp_path) == [-128.0]
 
 
+@pytest.mark.slow
 def test_a_compensation_table_in_c(ramp_run, tmp_path: Path) -> None:
     evaluated, run = ramp_run
     found, table = constants_of(run.path, WordFormat()), evaluated.document()["compensation"]

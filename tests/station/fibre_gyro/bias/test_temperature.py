@@ -39,6 +39,7 @@ def quick() -> dict[str, Any]:
     return {"temperature": RAMP, "simulation": TRUTH}
 
 
+@pytest.mark.slow
 def test_a_ramp_gives_the_models_that_it_was_made_with(taken, quick) -> None:
     evaluated, run = taken("temperature", **quick)
     found = evaluated.document()
@@ -127,6 +128,7 @@ def test_without_a_temperature_it_is_said(fog_settings, tmp_path: Path) -> None:
         evaluate_run(open_run(done.path))
 
 
+@pytest.mark.slow
 def test_a_ramp_that_was_cut_short_goes_on(quick, taken, fog_settings, monkeypatch: pytest.MonkeyPatch) -> None:
     class FailingBench(SimulatedFogBench):
         def prepare(self, planned: PlannedSegment) -> dict[str, Any]:
@@ -181,6 +183,7 @@ def ramp_with(
     return evaluate_run(open_run(done.path))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("how", "truth"),
     [({}, 0.0), ({"by_rate": 0.1}, 0.2), ({"play_c": 10.0}, -0.2), ({"play_c": 6.0, "slope": -0.04}, 0.24)],
@@ -195,6 +198,7 @@ def test_going_up_less_going_down_is_given_with_what_it_may_be(tmp_path: Path, h
     assert "cannot tell hysteresis, a drift and an effect of dT/dt apart" in evaluated.result.sentences[-1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("late_s", [0.0, 120.0, -200.0])
 def test_a_thermometer_that_is_late_is_told_and_can_be_stated(tmp_path: Path, late_s: float) -> None:
     """A parabola: beside a late thermometer the other senses of the ramp make two of it."""

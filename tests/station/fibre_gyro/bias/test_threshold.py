@@ -202,6 +202,7 @@ def test_the_way_out_of_a_dead_zone_may_be_bent(tmp_path: Path) -> None:
     assert not [one for one in small_rates_of(tmp_path, seen) if "of what K gives" in one]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("seen", "named"),
     [

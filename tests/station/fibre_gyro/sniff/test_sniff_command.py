@@ -90,6 +90,7 @@ def test_what_goes_wrong_is_one_line(tmp_path, capsys, arguments, code, said):
     assert said in error and len(error.splitlines()) == 1
 
 
+@pytest.mark.slow
 def test_a_served_gyro_is_recognised_with_its_clock(capsys):
     settings = load_fog_settings(overrides={"link": {"frame_format": "header_99_66"}})
     layout = read_frame_format(settings)

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from analysis.arrays import NORMAL_95, Floats
 from analysis.harmonics import fit_harmonics
-from analysis.lockin_equation import Relation, beat_frequency, beat_signal, harmonic_ratio, lock_in_from_rate
+from analysis.lockin_equation import beat_frequency, beat_signal, harmonic_ratio, lock_in_from_rate
 from analysis.lockin_rate import estimate_lock_in
 from analysis.rotation import earth_rate_on_axis
 from analysis.several_rates import fit_rates
@@ -378,27 +378,24 @@ def peak_ratio(amplitudes: Floats) -> Floats:
     return np.asarray(second / amplitudes[np.arange(first.size), first])
 
 
-def errors_by_peaks(
-    gyros: Gyros, windows: tuple[str, ...] = ("boxcar",), relation: Relation = "paper-13"
-) -> dict[str, Floats]:
+def errors_by_peaks(gyros: Gyros, windows: tuple[str, ...] = ("boxcar",)) -> dict[str, Floats]:
     """Relative error of the lock-in rate from spectral peaks, of the shape of `gyros`, for each window."""
     found = {window: np.empty(gyros.input_rate.size) for window in windows}
     for where, some in gyros.parts():
         volts = records(some)
         for window in windows:
             ratio = peak_ratio(spectrum(volts, window))
-            found[window][where] = lock_in_from_rate(ratio, some.input_rate, relation) / some.lock_in_rate - 1
+            found[window][where] = lock_in_from_rate(ratio, some.input_rate, "paper-13") / some.lock_in_rate - 1
     return {window: values.reshape(gyros.shape) for window, values in found.items()}
 
 
-def errors_by_fit(gyros: Gyros, samples: int = OSCILLOSCOPE_SAMPLES) -> Floats:
+def errors_by_fit(gyros: Gyros) -> Floats:
     """Relative error of the lock-in rate by the waveform's fit and the exact relation, rate given."""
     # The first samples of the same records are enough: as many as the oscilloscope holds, 1/24 of them.
     found = np.empty(gyros.input_rate.size)
     for where, some in gyros.parts():
-        estimate = estimate_lock_in(
-            records(some, samples), 1 / SAMPLING_HZ, scale_factor=SCALE_FACTOR, input_rate=some.input_rate
-        )
+        volts = records(some, OSCILLOSCOPE_SAMPLES)
+        estimate = estimate_lock_in(volts, 1 / SAMPLING_HZ, scale_factor=SCALE_FACTOR, input_rate=some.input_rate)
         found[where] = estimate.lock_in_rate / some.lock_in_rate - 1
     return found.reshape(gyros.shape)
 

@@ -94,7 +94,7 @@ def claim(name: str, doing: str = "", *, means: str = "") -> Claim:
             os.getpid(),
             _user(),
             doing or _plain(" ".join([Path(sys.argv[0] or "python").name, *sys.argv[1:]])),
-            _now(),
+            datetime.now(UTC).isoformat(timespec="seconds").replace("+00:00", "Z"),
         ),
         link,
     )
@@ -211,10 +211,6 @@ def _user() -> str:
         return getpass.getuser()
     except (KeyError, OSError, ImportError):
         return str(os.getuid()) if hasattr(os, "getuid") else "?"
-
-
-def _now() -> str:
-    return datetime.now(UTC).isoformat(timespec="seconds").replace("+00:00", "Z")
 
 
 # --------------------

@@ -6,13 +6,12 @@ Records are read some at a time, and only sums of them are kept: a million need 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, fields, replace
-from functools import partial
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from analysis.arrays import Bools, Complexes, Floats, Indices
+from analysis.arrays import Bools, Complexes, Floats, Indices, Stacked
 from analysis.budget import SECOND_ORDER_LIMIT
 from analysis.flags import Flag
 from analysis.lockin_rate import LockInEstimate
@@ -44,7 +43,7 @@ _FAST = 0.5
 
 
 @dataclass(frozen=True)
-class RatioBlock:
+class RatioBlock(Stacked):
     """Some records, arrays of one value each; nan where a record has no beat."""
 
     rate: Floats  # deg/s, signed
@@ -57,9 +56,6 @@ class RatioBlock:
     third: Floats  # third harmonic beyond the waveform in phase with distortion, over the amplitude; inf: unknown
     third_u: Floats
     misfit: Bools  # records whose waveform is not the lock-in one within its noise
-
-    def __getitem__(self, rows: slice | Bools | Indices) -> RatioBlock:
-        return RatioBlock(*(getattr(self, field.name)[rows] for field in fields(self)))
 
     @property
     def locked(self) -> Bools:
@@ -131,20 +127,22 @@ def records_of_estimates(
         rate = np.concatenate([e.input_rate for e in flat])
     else:
         rate = np.broadcast_to(np.asarray(input_rate, dtype=np.float64).ravel(), (count,))
-    run = rate, place_in_run(count) if in_order else np.broadcast_to(0.0, count)
+    when = place_in_run(count) if in_order else np.broadcast_to(0.0, count)
     # whether the rates are those that the records themselves gave, whatever their sense
     own = flat[0].input_rate if len(flat) == 1 else np.concatenate([e.input_rate for e in flat])
     is_own = not any(e.rate_given for e in flat) and all(
         np.allclose(np.abs(rate[some]), own[some], rtol=_THE_SAME, equal_nan=True) for some in in_blocks(count)
     )
-    read = partial(_read, flat[0], run) if len(flat) == 1 else _together(flat, run).__getitem__
+    parts = np.split(np.arange(count), np.cumsum([len(e) for e in flat])[:-1])
+    blocks = [_block(e, rate[its], when[its]) for e, its in zip(flat, parts, strict=True)] if len(flat) > 1 else []
+    read = RatioBlock.joined(blocks).take if blocks else lambda some: _block(flat[0][some], rate[some], when[some])
     return _records(
         rate,
         read,
         scale_factor=flat[0].scale_factor,
         noise_model="; ".join(dict.fromkeys(e.noise_model for e in flat)),
         rate_of_beat=is_own,
-        when=run[1],
+        when=when,
     )
 
 
@@ -182,7 +180,7 @@ def records_of_arrays(
     )
     return _records(
         w,
-        whole.__getitem__,
+        whole.take,
         scale_factor=scale_factor,
         noise_model="the covariances given",
         rate_of_beat=rate_of_beat,
@@ -239,7 +237,7 @@ def common_mismatch(records: RatioRecords) -> float:
     smallest = min(float(np.abs(block.ratio).min()) for block in _usable(records))
     sizes, rates = [], []
     for block in _usable(records):
-        fast = block[np.abs(block.ratio) <= 2 * smallest]
+        fast = block.take(np.abs(block.ratio) <= 2 * smallest)
         size = np.abs(fast.ratio)
         square = np.minimum(size**2, 0.99)
         # W = (f/K)(1 + r^2)/(1 - r^2), and r may be off by the distortion
@@ -255,7 +253,7 @@ def _usable(records: RatioRecords) -> Iterator[RatioBlock]:
     """The records with a ratio, some at a time."""
     for some, block in records.blocks():
         if records.usable[some].any():
-            yield block[records.usable[some]]
+            yield block.take(records.usable[some])
 
 
 def inconsistent_rate(records: RatioRecords, rate_u: Floats, mismatch: float = 1.0) -> Bools:
@@ -325,9 +323,6 @@ def _column(name: str, values: ArrayLike, n: int) -> NDArray[np.generic]:
     return np.broadcast_to(array.ravel(), (n,))
 
 
-Run = tuple[Floats, Floats]  # of each record (n,): its rate, and its place in the run
-
-
 def place_in_run(count: int) -> Floats:
     """Place of each record in its run, (n,), from -1/2 to 1/2."""
     return np.arange(count) / max(count - 1, 1) - 0.5
@@ -356,12 +351,6 @@ def visits_of_rates(rate: Floats) -> Indices:
 
 
 MOST_VISITS, LONG_VISIT = 4, 8
-
-
-def _read(estimate: LockInEstimate, run: Run, some: slice) -> RatioBlock:
-    """Some records of an estimate (n,), with what is known of all (n,)."""
-    rate, when = run
-    return _block(estimate[some], rate[some], when[some])
 
 
 def _block(estimate: LockInEstimate, rate: Floats, when: Floats) -> RatioBlock:
@@ -394,15 +383,6 @@ def _block(estimate: LockInEstimate, rate: Floats, when: Floats) -> RatioBlock:
     )
 
 
-def _together(estimates: Sequence[LockInEstimate], run: Run) -> RatioBlock:
-    """Records of several estimates, with what is known of all."""
-    rate, when = run
-    ends = np.cumsum([len(each) for each in estimates])
-    slices = [slice(end - len(each), end) for each, end in zip(estimates, ends, strict=True)]
-    parts = [_block(each, rate[some], when[some]) for each, some in zip(estimates, slices, strict=True)]
-    return RatioBlock(*(np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(RatioBlock)))
-
-
 SAME_RATE = 0.01
 SAME_AMPLITUDE = 0.05
 
@@ -421,7 +401,7 @@ class UsedRecords:
         for some, block in self.records.blocks():
             rows = np.flatnonzero(self.used[some])
             if rows.size:
-                yield some.start + rows, block[rows]
+                yield some.start + rows, block.take(rows)
 
     def data(self) -> Iterator[tuple[Indices, RatioData, Floats]]:
         """The same as one set of data (m,), and the covariance of their ratios."""

@@ -289,7 +289,7 @@ def beats_of_rates(points: Points, mismatch: Floats, lock_in_rate: float, gain_t
     records, sums = points.records, np.zeros((5, len(points.places)))
     for some, every in records.records.blocks():
         rows = np.flatnonzero(records.used[some] & np.isfinite(mismatch[some]))
-        block, frequency = every[rows], every.beat_frequency[rows]
+        block, frequency = every.take(rows), every.beat_frequency[rows]
         square = (lock_in_rate / block.rate) ** 2
         rate_u = records.rate_u[some][rows] / np.abs(block.rate) / (1 - square)
         us = np.hypot(block.beat_frequency_u / frequency, rate_u)

@@ -109,6 +109,14 @@ ENOUGH = 1e-3  # gain of a last step, in variances of a sample's noise: a thirti
 RIDGE = 1e-12
 
 
+def unit_diagonal(normal: Floats) -> tuple[Floats, Floats]:
+    """A normal matrix with a diagonal of one and a ridge against rounding, and the scale (P,) that gives it."""
+    scale = 1 / np.sqrt(np.maximum(np.diagonal(normal), 1e-300))
+    scaled = normal * scale * scale[:, np.newaxis]
+    scaled[np.diag_indices_from(scaled)] += RIDGE
+    return scaled, scale
+
+
 @dataclass(frozen=True)
 class Terms:
     """How many terms rate, amplitude and offset have, polynomials unless said otherwise."""
@@ -177,8 +185,7 @@ class Fitted:
     @property
     def covariance(self) -> Floats:
         """Of the parameters, (P, P)."""
-        scale = 1 / np.sqrt(np.maximum(np.diagonal(self.normal), 1e-300))
-        scaled = self.normal * scale * scale[:, np.newaxis] + RIDGE * np.eye(scale.size)
+        scaled, scale = unit_diagonal(self.normal)
         return np.asarray(np.linalg.inv(scaled) * scale * scale[:, np.newaxis] * self.variance)
 
 
@@ -251,9 +258,7 @@ class SampledRecord:
         first = at.terms.rate + 2
         order = np.concatenate([np.delete(np.arange(at.terms.count + 2), [first, first + 1]), [first, first + 1]])
         normal, gradient = equations.normal[np.ix_(order, order)], equations.gradient[order]
-        scale = 1 / np.sqrt(np.maximum(np.diagonal(normal), 1e-300))
-        scaled = normal * scale * scale[:, np.newaxis]
-        scaled[np.diag_indices_from(scaled)] += RIDGE
+        scaled, scale = unit_diagonal(normal)
         inverse = (np.linalg.inv(scaled) * scale * scale[:, np.newaxis])[-2:]
         return inverse @ gradient, inverse[:, -2:] * fitted.variance
 
@@ -352,9 +357,7 @@ class _Equations:
 
     def solve(self) -> tuple[Floats, Floats, float]:
         """Change of the phases and of the parameters, and what they gain if all is linear."""
-        scale = 1 / np.sqrt(np.maximum(np.diagonal(self.normal), 1e-300))
-        scaled = self.normal * scale * scale[:, np.newaxis]
-        scaled[np.diag_indices_from(scaled)] += RIDGE
+        scaled, scale = unit_diagonal(self.normal)
         by_parameters = scale * np.linalg.solve(scaled, scale * self.gradient)
         by_phase = self.solved_gradient - by_parameters @ self.solved
         gain = float(self.phase_gradient @ by_phase + self.full_gradient @ by_parameters)

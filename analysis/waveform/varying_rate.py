@@ -17,7 +17,15 @@ from analysis.waveform.frequency import never_alone
 from analysis.waveform.residuals import line_stands_out
 from analysis.waveform.series import Series, data_sums, phasors, step_by_samples, tangents_along
 from analysis.waveform.smooth_phase import AT_ENDS, OTHERS, Paths, fit_smooth_phase, knots_of
-from analysis.waveform.trajectory import HIGHEST, Fitted, SampledRecord, Terms, Trajectory, polynomials
+from analysis.waveform.trajectory import (
+    HIGHEST,
+    Fitted,
+    SampledRecord,
+    Terms,
+    Trajectory,
+    polynomials,
+    unit_diagonal,
+)
 
 SLOW_TERMS = 4  # polynomials of amplitude and offset to begin with: up to the third degree
 
@@ -318,9 +326,6 @@ def as_beats(paths: Paths) -> MovingFits:
 # fit
 
 
-RIDGE = 1e-12
-
-
 def terms_needed(fitted: Fitted, count: float) -> Terms:
     """Least Bayesian criterion among all numbers of terms up to those of a fit."""
     terms, parameters = fitted.trajectory.terms, fitted.trajectory.parameters
@@ -333,10 +338,7 @@ def terms_needed(fitted: Fitted, count: float) -> Terms:
         dropped = np.setdiff1d(np.arange(terms.count), kept)
         order = np.concatenate([kept[terms.rate :], kept[: terms.rate], dropped])
         # what the fit would leave more if all parameters from number i on were zero
-        normal = fitted.normal[np.ix_(order, order)]
-        scale = 1 / np.sqrt(np.maximum(np.diagonal(normal), 1e-300))
-        scaled = normal * scale * scale[:, np.newaxis]
-        scaled[np.diag_indices_from(scaled)] += RIDGE
+        scaled, scale = unit_diagonal(fitted.normal[np.ix_(order, order)])
         squares = (np.linalg.cholesky(scaled).T @ (parameters[order] / scale)) ** 2
         costs = np.concatenate([np.cumsum(squares[::-1])[::-1], [0.0]])
         first = terms.count - dropped.size - terms.rate
@@ -352,12 +354,10 @@ def terms_needed(fitted: Fitted, count: float) -> Terms:
 
 def with_terms(fitted: Fitted, terms: Terms) -> Trajectory:
     """The trajectory with fewer terms, the others as they come out best without those that are dropped."""
-    trajectory, normal = fitted.trajectory, fitted.normal
+    trajectory = fitted.trajectory
     kept = _places(trajectory.terms, terms)
     dropped = np.setdiff1d(np.arange(trajectory.terms.count), kept)
-    scale = 1 / np.sqrt(np.maximum(np.diagonal(normal), 1e-300))
-    scaled = normal * scale * scale[:, np.newaxis]
-    scaled[np.diag_indices_from(scaled)] += RIDGE
+    scaled, scale = unit_diagonal(fitted.normal)
     taken_over = scaled[np.ix_(kept, dropped)] @ (trajectory.parameters[dropped] / scale[dropped])
     parameters = trajectory.parameters[kept] + scale[kept] * np.linalg.solve(
         scaled[np.ix_(kept, kept)], taken_over
@@ -392,9 +392,6 @@ def _places(terms: Terms, fewer: Terms) -> Indices:
 # an error of the phase into one of the sample, its least squares are nearly those of the samples themselves
 
 
-MATCHING_RIDGE = 1e-12
-
-
 def matched_motion(phase: Floats, weights: Floats, terms: int) -> tuple[Floats, Floats]:
     """Coefficients of a, and s and c, with as many polynomials as the phase asks for, at most `terms`."""
     # by the Bayesian information criterion
@@ -402,11 +399,7 @@ def matched_motion(phase: Floats, weights: Floats, terms: int) -> tuple[Floats, 
     columns = np.concatenate([others, polynomials(phase.size).integrals[:terms]])
     columns *= weights
     target = weights * phase
-    normal = columns @ columns.T
-    scale = 1 / np.sqrt(np.maximum(np.diagonal(normal), 1e-300))
-    normal *= scale
-    normal *= scale[:, np.newaxis]
-    normal[np.diag_indices_from(normal)] += MATCHING_RIDGE
+    normal, scale = unit_diagonal(columns @ columns.T)
     factor = scipy.linalg.cholesky(normal, lower=True)
     # The factor is nested: what each further polynomial explains is one square.
     explained = scipy.linalg.solve_triangular(factor, scale * (columns @ target), lower=True)

@@ -532,7 +532,7 @@ _LINES_SHOWN = 12
 _SMALLEST_SHOWN = 1e-4  # contributions below this share of the combined uncertainty are too small to be drawn
 
 
-def budget_svg(budget: Budget, name: str = "budget") -> str:
+def budget_svg(budget: Budget) -> str:
     """Draw what each input of a budget gives to the variance."""
     least = _SMALLEST_SHOWN * budget.combined_u
     lines = [line for line in budget.inputs if line.contribution > least][:_LINES_SHOWN]
@@ -554,4 +554,4 @@ def budget_svg(budget: Budget, name: str = "budget") -> str:
         axes.set_xticks(range(0, 101, 20))
         axes.set_xlabel(f"share of the variance, %; combined u = {scale * budget.combined_u:.2g} {unit}")
 
-    return svg_element(name, (10.0, 1.0 + 0.29 * len(lines)), draw)
+    return svg_element("budget", (10.0, 1.0 + 0.29 * len(lines)), draw)

@@ -90,6 +90,7 @@ def test_hysteresis_is_found_and_paid_for():
     assert band.lock_in_rate_u > band.hysteresis / 2 / np.sqrt(3) > 0.0023
 
 
+@pytest.mark.slow
 def test_noise_moves_the_edges_and_the_corner_shows_it():
     corners, us, walks = [], [], []
     for seed in range(6):
@@ -173,6 +174,7 @@ def station_sweep(steps=16, top=2 * WL):
     return np.concatenate([rates, rates[-2::-1]])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("order", "hysteresis"), [("through zero", 0.1), ("by senses", 0.0)])
 def test_a_drift_of_the_bias_is_found_and_taken_out(order, hysteresis):
     """The middle of the sweep counts; without the drift the corner is wrong by many of its uncertainties."""

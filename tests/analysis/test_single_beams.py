@@ -215,6 +215,7 @@ def test_routes_are_told_apart():
     assert fit.routes[0].lock_in_rate == alone.lock_in_rate
 
 
+@pytest.mark.slow
 def test_frequencies_of_one_sense_count_a_constant_of_the_table():
     """The earth rate, as far as it points along the table's axis."""
     alone, swing = measured(Bench(laser(1.4, 1.2, 0.7)), BOTH[:4], constant=0.003)
@@ -354,6 +355,7 @@ def test_a_laser_that_stands_does_not_end_the_others(other, rate, angular):
     assert middle == pytest.approx(1.0, abs=0.05)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("seed", "u"),
     [

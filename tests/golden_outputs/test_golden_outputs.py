@@ -43,7 +43,9 @@ def check(told: dict[str, str]) -> list[str]:
     return found
 
 
-@pytest.mark.parametrize("group", GROUPS)
+@pytest.mark.parametrize(
+    "group", [pytest.param(group, marks=pytest.mark.slow) if group == "pages" else group for group in GROUPS]
+)
 def test_what_is_printed_and_written_is_what_is_stored(group: str, tmp_path: Path) -> None:
     told = write_outputs(tmp_path, [group])
     assert len(told) > 40

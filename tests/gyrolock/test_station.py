@@ -29,6 +29,7 @@ def test_a_bad_unit_fails_in_an_openhtf_test(tmp_path: Path) -> None:
     assert done.stdout.splitlines()[-1] == "FAIL"
 
 
+@pytest.mark.slow
 def test_a_good_unit_passes_in_pytest(tmp_path: Path) -> None:
     campaign, junit = write_campaign(tmp_path), tmp_path / "result.xml"
     example = ["-m", "pytest", "-c", os.devnull, "--rootdir", str(tmp_path), "-p", "no:cacheprovider", "-q"]

@@ -149,28 +149,29 @@ WALKS = {
     "fog witness --no-report": 70,
 }
 
-# which files a function of ours is called in while the command runs; what a module does when it is imported is not
-# on the way
+# which files a function of ours is called in while the command runs: all modules are there already, since what one
+# does when it is imported is not on the way
 WALK = """
-import sys, threading
-root, entered, known = sys.argv[1], set(), {}
-def importing(frame):
-    while (frame := frame.f_back) is not None:
-        if frame.f_code.co_name == "<module>" and frame.f_code.co_filename.startswith(root):
-            return True
-    return False
-def note(frame, event, _):
-    code = frame.f_code
-    if event == "call" and code.co_flags & 1 and code not in known and code.co_filename.startswith(root):
-        if code.co_name != "<module>" and not importing(frame):
-            known[code] = entered.add(code.co_filename.removeprefix(root))
-import jinja2, matplotlib.figure, numpy, pydantic, pyvisa, pyvisa_py, rich.live, scipy.optimize, scipy.stats
+import cProfile, importlib, pkgutil, sys, threading
+root, profiles = sys.argv[1], []
+def profiled(*_):
+    profiles.append(cProfile.Profile(builtins=False))
+    profiles[-1].enable()
+import gyrolock, analysis, instrument, station
+for package in (gyrolock, analysis, instrument, station):
+    for module in pkgutil.walk_packages(package.__path__, package.__name__ + "."):
+        try:
+            importlib.import_module(module.name)
+        except ImportError:
+            pass
 from station.cli import main
-threading.setprofile(note)
-sys.setprofile(note)
+threading.setprofile(profiled)
+profiled()
 main(sys.argv[2:])
 sys.setprofile(None)
-ours = {name for name in entered if name.endswith(".py") and not name.startswith(".venv")}
+entered = {entry.code for one in profiles for entry in one.getstats() if not isinstance(entry.code, str)}
+names = {code.co_filename for code in entered if code.co_name != "<module>"}
+ours = {name.removeprefix(root) for name in names if name.startswith(root) and ".venv" not in name}
 scope = {"simulated" if name.startswith("instrument/simulated/") else name for name in ours}
 print(*scope, sep="\\n", file=sys.stderr)
 """
@@ -192,12 +193,15 @@ ALSO_SET = {
 }
 
 
-def literals(tree: ast.Module) -> Iterator[str]:
+DECLARING = {"Quantity", "replace", "_figure"}
+
+
+def literals(tree: ast.AST) -> Iterator[str]:
     """Texts of a module but for those by which a quantity is declared."""
     for node in ast.iter_child_nodes(tree):
         if isinstance(node, ast.Constant):
             yield str(node.value)
-        elif not (isinstance(node, ast.Call) and ast.unparse(node.func) in ("Quantity", "replace", "_figure")):
+        elif not (isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id in DECLARING):
             yield from literals(node)
 
 

@@ -42,6 +42,7 @@ def test_plan_says_what_to_set(capsys: pytest.CaptureFixture[str]) -> None:
     assert len(document["curve"]["rate_over_lock_in"]) == len(document["curve"]["total_u_percent"])
 
 
+@pytest.mark.slow
 def test_plan_counts_single_beams(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "beams.toml").write_text('[beams]\nchannels = ["CH2", "CH3"]\n')
     config = ("--config", str(tmp_path / "beams.toml"))
@@ -85,6 +86,7 @@ def test_plan_options_reach_the_prediction(capsys: pytest.CaptureFixture[str]) -
     assert [rate["rate_over_lock_in"] for rate in several["rates"]] == [3, 8, 15]
 
 
+@pytest.mark.slow
 def test_plan_with_the_table_as_reference(capsys: pytest.CaptureFixture[str]) -> None:
     document = planned(capsys, "--reference", "rate", code=1)
     names = [line["name"] for line in document["budget"]["inputs"][:4]]
@@ -93,7 +95,10 @@ def test_plan_with_the_table_as_reference(capsys: pytest.CaptureFixture[str]) ->
     assert any("own reference" in text for text in document["reasons"])
 
 
-@pytest.mark.parametrize("suffix", ["svg", "png", "pdf"])
+SLOW = pytest.mark.slow
+
+
+@pytest.mark.parametrize("suffix", ["svg", *(pytest.param(kind, marks=SLOW) for kind in ("png", "pdf"))])
 def test_plan_draws(suffix: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = tmp_path / f"plan.{suffix}"
     document = planned(capsys, "--plot", str(file))
@@ -134,6 +139,7 @@ def test_plan_refuses(options: tuple[str, ...], words: str, capsys: pytest.Captu
     assert captured.err.count("\n") == 1
 
 
+@pytest.mark.slow
 def test_a_picture_that_cannot_be_written(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["plan", "--json", "--plot", str(tmp_path / "none" / "plan.svg")]) == 2
     assert json.loads(capsys.readouterr().out)["error"]["kind"] == "file"

@@ -259,6 +259,7 @@ def test_a_pump_that_swings_is_seen_and_does_not_move_the_result(tmp_path: Path)
     assert {"coloured_noise", "misfit"} & set(swinging.flags)
 
 
+@pytest.mark.slow
 def test_everything_at_once(tmp_path: Path) -> None:
     spoilt = {
         "second_harmonic_dbc": -46.0,

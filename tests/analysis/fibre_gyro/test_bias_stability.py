@@ -45,6 +45,7 @@ def test_missing_words_and_short_records() -> None:
     assert np.isnan(deviation_of_means(words, 100.0, TAU)).all()
 
 
+@pytest.mark.slow
 def test_clean_noise_shows_no_misfit() -> None:
     """Of sixty records of all terms none; twelve of them here."""
     for seed in range(12):

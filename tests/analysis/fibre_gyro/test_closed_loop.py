@@ -107,6 +107,7 @@ def test_small_rates_are_lost_without_noise_and_found_with_it() -> None:
     assert mean_output(QUIET, 0.001, seconds=0.5) == pytest.approx(0.001 * K0, abs=4 * 0.0005 / 60 / 0.5**0.5 * K0)
 
 
+@pytest.mark.slow
 def test_feedback_held_does_not_follow_the_rate() -> None:
     gyro = ClosedLoop(COIL, QUIET, seed=1)
     gyro.run(1, rate_dps=2.0)

@@ -129,7 +129,10 @@ def test_prediction_for_several_rates_agrees_with_their_fit(over: tuple[float, .
     assert rms_error(fits) == pytest.approx(plan.budget.relative_u, rel=0.4)
 
 
-@pytest.mark.parametrize(("over", "both"), [((8.0,), True), ((3.0, 30.0), False), ((3.0, 9.5, 30.0), True)])
+@pytest.mark.parametrize(
+    ("over", "both"),
+    [((8.0,), True), pytest.param((3.0, 30.0), False, marks=pytest.mark.slow), ((3.0, 9.5, 30.0), True)],
+)
 def test_of_a_bench_that_nobody_stated_a_plan_promises_what_its_fit_says(
     over: tuple[float, ...], both: bool
 ) -> None:

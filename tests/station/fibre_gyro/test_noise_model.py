@@ -87,6 +87,7 @@ def test_what_is_no_noise_model_is_told(tmp_path: Path, text: str, said: str) ->
         noise_facts(path)
 
 
+@pytest.mark.slow
 def test_another_run_is_no_noise_model(taken) -> None:
     _, run = taken("eps", eps={"record_s": 0.5})
     with pytest.raises(UsageError, match="a noise model comes from `gyrolock fog allan`"):

@@ -110,6 +110,7 @@ def test_a_table_run_over_the_link(served, fog_settings, result_of) -> None:
     assert bench.gyro.rate_dps == 0.0
 
 
+@pytest.mark.slow
 def test_the_response_over_the_link_is_that_of_the_steps(served, fog_settings, result_of) -> None:
     """Commands go out while it records; when they arrive nobody knows to an output."""
     settings = fog_settings(gyro=GYRO, response={"half_period_s": 12.0, "periods": 2, "settle_s": 0.2})

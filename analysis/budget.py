@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -16,7 +17,7 @@ import scipy.special
 from numpy.typing import ArrayLike
 
 from analysis.arrays import NORMAL_95, Complexes, Floats, NoBudget
-from analysis.channel import gain_on_ratio, high_pass_on_ratio, low_pass_on_ratio
+from analysis.channel import gain_on_ratio, high_pass_on_ratio, low_pass_on_ratio, tail_on_ratio
 from analysis.lockin_equation import beat_frequency, harmonic_ratio
 from analysis.lockin_rate import LockInEstimate, size_interval
 from analysis.rotation import EARTH_RATE_DPS, earth_rate_on_axis
@@ -172,6 +173,9 @@ def _rate_slopes(table: TableGeometry) -> tuple[float, float, float, float, floa
 _PHASES = 12
 _PHASE_LOST = 0.5  # rad: with a larger uncertainty the phase of the ratio is as good as unknown
 Factor = Callable[[float | Floats, float | Floats], Complexes]  # on rho, of beat frequencies and a corner in Hz
+ByFrequency = Callable[[Floats], Complexes]  # a factor of beat frequencies alone
+
+TAIL_TIMES = (3e-4, 1e-3, 3e-3)  # s after which a thermal tail of an amplifier comes
 
 CORNERS: tuple[tuple[str, str, str, Factor], ...] = (
     ("bandwidth", "bandwidth", "bandwidth of the channel", low_pass_on_ratio),
@@ -190,20 +194,28 @@ def channel_inputs(point: OperatingPoint, known: Bounded, slope: float) -> Itera
             yield separated_input(name, quantity)
         else:
             yield _corner(name, quantity, getattr(known.knowledge, known_as), response, point, slope, known)
-    if math.isfinite(known.knowledge.response_u):
-        yield response_input(known.knowledge.response_u, -slope * point.ratio)
+    share, at = slope * point.ratio, np.array(point.beat_frequency)
+    yield from stated_inputs(known.knowledge, share, lambda factor: share * (float(abs(factor(at))) - 1))
+
+
+def stated_inputs(
+    knowledge: BenchKnowledge, share: float, shift: Callable[[ByFrequency], float]
+) -> Iterator[BudgetInput]:
+    """Lines of a measured response at 2f over that at f and of a thermal tail, where they are stated."""
+    # share, deg/s: of the lock-in rate, what all of the ratio gives; shift, deg/s: what a factor on rho does
+    if math.isfinite(knowledge.response_u):
+        name, quantity = "response", "response of the channel at 2f over f, measured"
+        yield BudgetInput(name, quantity, "1", 1.0, knowledge.response_u, "normal", -share, note="corrected")
+    if limit := knowledge.tail_limit:
+        u = max(abs(shift(partial(tail_on_ratio, size=limit, after_s=after))) for after in TAIL_TIMES) / _RECTANGLE
+        note = f"up to {100 * limit:.2g} %, after 0.3 to 3 ms"
+        yield BudgetInput("tail", "thermal tail of the channel", "deg/s", 0.0, u, "rectangular", 1.0, note=note)
 
 
 def separated_input(name: str, quantity: str) -> BudgetInput:
     """The line of something that the records were freed of: its cost is in the noise."""
     note = "does not enter: the records themselves were freed of it"
     return BudgetInput(name, quantity, "1", 0.0, 0.0, "rectangular", 0.0, note=note, common=True)
-
-
-def response_input(response_u: float, sensitivity: float) -> BudgetInput:
-    """The line of a measured response at 2f over that at f, whose relative uncertainty is given."""
-    quantity = "response of the channel at 2f over f, measured"
-    return BudgetInput("response", quantity, "1", 1.0, response_u, "normal", sensitivity, note="corrected")
 
 
 def distortion_input(point: OperatingPoint, known: Bounded, slope: float) -> BudgetInput:
@@ -226,21 +238,10 @@ def third_order_input(point: OperatingPoint, known: Bounded, slope: float) -> Bu
     name, quantity, limit = "third_order", "third-order distortion", known.knowledge.third_order_limit
     if name in known.knowledge.separated:
         return separated_input(name, quantity)
-    by_level = slope * (point.ratio * THIRD_ORDER_ON_RATIO + THIRD_ORDER_LEAK / point.periods)
+    by_h = slope * (point.ratio * THIRD_ORDER_ON_RATIO + THIRD_ORDER_LEAK / point.periods)
     note = known.note(name, level(limit), f"within ±{limit:.2g} ({level(limit)}), stated or seen in the records")
-    stated = name not in known.assumed
-    return BudgetInput(
-        name,
-        quantity,
-        "1",
-        0.0,
-        limit / _RECTANGLE,
-        "rectangular",
-        by_level,
-        note=note,
-        common=True,
-        stated=stated,
-    )
+    u, stated = limit / _RECTANGLE, name not in known.assumed
+    return BudgetInput(name, quantity, "1", 0.0, u, "rectangular", by_h, note=note, common=True, stated=stated)
 
 
 def level(amplitude: float) -> str:
@@ -620,6 +621,7 @@ class BenchKnowledge:
     # relative, of a measured response of the channel at 2f over that at f that the ratio was freed of
     response_u: float = math.nan
     probe_limit: float = 0.0  # largest error of the compensation of a probe that divides, as a share of the gain
+    tail_limit: float = 0.0  # largest share of a step that the scope's input shows some milliseconds later only
     # for the rate as reference; without one nobody said how well the rate is known
     table: TableGeometry | None = None
 

@@ -57,6 +57,12 @@ def gain_on_ratio(frequency: float | Floats, corner_hz: float | Floats) -> Compl
     return low_pass(frequency, corner_hz)
 
 
+def tail_on_ratio(frequency: float | Floats, size: float, after_s: float) -> Complexes:
+    """Factor (1) on rho of a thermal tail: a share `size` of every step that comes after a time."""
+    first, second = (1 + size * low_pass(n * np.asarray(frequency), 1 / (2 * np.pi * after_s)) for n in (1, 2))
+    return _on_ratio(first, second)
+
+
 def _on_ratio(first: Complexes, second: Complexes) -> Complexes:
     """Equation (1): H(2f) |H(f)| / H(f)^2."""
     return np.asarray(second / first * np.abs(first) / first)

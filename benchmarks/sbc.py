@@ -98,6 +98,7 @@ class Fault:
     fifth_order: tuple[float, float] = (0.0, 0.0)  # fifth harmonic that the receiver makes of a sine
     widths: tuple[float, float] = (0.0, 0.0)  # of the converter's codes, rms error in levels
     copies: int = 1  # of every record
+    stated_tail: float = 0.0  # thermal tail that may be there, as it is stated
 
 
 def _one_pole(corner: float) -> Channel:
@@ -132,6 +133,7 @@ FAULTS = {
     "WL drifts by 1 to 2 %, one sense": Fault("one sense", grows=(0.01, 0.02)),
     "10X probe off by 2 to 10 %": Fault(channel=_probe),
     "thermal tail of 0.2 to 1 %": Fault(channel=_tail),
+    "the same, 1 % stated": Fault(channel=_tail, stated_tail=0.01),
     "poles at 5 and 8 kHz": Fault(channel=_two_poles),
     "hum of 0.2 to 2 %": Fault(hum=(0.002, 0.02)),
     "shot noise": Fault(shot_noise=True),
@@ -214,7 +216,8 @@ def outcome(plan: Plan, drift: float, fault: Fault | None, seed: int) -> Outcome
     nothing = RecordArrays([], 1, np.array([], dtype=int), *(np.array([]) for _ in range(5)))
     bandwidth = ResponseCorner(STATED_HZ if plan.stated else math.nan)
     coupled = ResponseCorner(0.0)  # DC
-    bench = BenchKnowledge(SCALE_FACTOR_U_PPM, TIME_BASE_PPM, bandwidth=bandwidth, high_pass=coupled)
+    corners = {"bandwidth": bandwidth, "high_pass": coupled}
+    bench = BenchKnowledge(SCALE_FACTOR_U_PPM, TIME_BASE_PPM, tail_limit=fault.stated_tail, **corners)
     knowledge = RunKnowledge(K, latitude_deg=LATITUDE, bench=bench)
     axis = AxisRates(table, np.zeros(table.size), np.zeros(table.size))
     found = evaluate(RunArrays(slow, nothing), knowledge, Method(K), axis=axis)

@@ -23,8 +23,8 @@ from analysis.budget import (
     bounded,
     lock_in_budget,
     operating_point,
-    response_input,
     separated_input,
+    stated_inputs,
 )
 from analysis.budget import Reference as RateReference
 from analysis.channel import ChannelResponse
@@ -700,6 +700,17 @@ def _from_channel(
     each: LockInEstimate, fit: RatesFit, known: Bounded, point: OperatingPoint, receiver: BenchKnowledge
 ) -> Iterator[BudgetInput]:
     """Filters of channel and laser: the fit again with the ratios that would be seen without them."""
+
+    def shift(factor: Callable[[Floats], Complexes]) -> float:
+        """Change of the lock-in rate, deg/s, if the ratios were multiplied by a factor of their frequency."""
+        try:
+            before, after = (fit_again(fit, factor=one, receiver=receiver) for one in (np.ones_like, factor))
+        except NoFit:
+            # as at the rate that determines the result best
+            place = int(np.nanargmin(np.abs(each.beat_frequency - point.beat_frequency)))
+            return fit.lock_in_rate * float(np.abs(factor(each.beat_frequency[place : place + 1])[0]) - 1)
+        return after.lock_in_rate - before.lock_in_rate
+
     for name, field, quantity, factor in CORNERS:
         corner: ResponseCorner = getattr(known.knowledge, field)
         if name in known.knowledge.separated:
@@ -708,15 +719,14 @@ def _from_channel(
             yield BudgetInput(name, quantity, "Hz", corner.hz, 0.0, "rectangular", 0.0, note="none")
         elif corner.corrected:
             wider = replace(corner, hz=corner.hz + corner.u_hz)
-            shift = _shift(each, fit, _without(factor, wider, corner), point, receiver)
-            yield _line(name, quantity, corner, abs(shift), "normal", "corrected for")
+            u = abs(shift(_without(factor, wider, corner)))
+            yield _line(name, quantity, corner, u, "normal", "corrected for")
         else:
-            u = abs(_shift(each, fit, _without(factor, corner), point, receiver)) / _RECTANGLE
+            u = abs(shift(_without(factor, corner))) / _RECTANGLE
             line = _line(name, quantity, corner, u, "rectangular", "not corrected for")
             bound = f"{corner.hz:.4g} Hz; the fit repeated with its effect"
             yield replace(line, note=known.note(name, bound, line.note), stated=name not in known.assumed)
-    if math.isfinite(known.knowledge.response_u):
-        yield response_input(known.knowledge.response_u, -fit.lock_in_rate)
+    yield from stated_inputs(known.knowledge, fit.lock_in_rate, shift)
 
 
 def _line(
@@ -736,20 +746,3 @@ def _without(
         return np.asarray(1 / (seen if corrected is None else seen / factor(frequency, corrected.hz)))
 
     return of
-
-
-def _shift(
-    each: LockInEstimate,
-    fit: RatesFit,
-    factor: Callable[[Floats], Complexes],
-    point: OperatingPoint,
-    receiver: BenchKnowledge,
-) -> float:
-    """Change of the lock-in rate in deg/s if the ratios were multiplied by a factor of their beat frequency."""
-    try:
-        before, after = (fit_again(fit, factor=one, receiver=receiver) for one in (np.ones_like, factor))
-    except NoFit:
-        # as at the rate that determines the result best
-        place = int(np.nanargmin(np.abs(each.beat_frequency - point.beat_frequency)))
-        return fit.lock_in_rate * float(np.abs(factor(each.beat_frequency[place : place + 1])[0]) - 1)
-    return after.lock_in_rate - before.lock_in_rate

@@ -414,9 +414,7 @@ def _followed(
             row, key = some[[place]], values[place].tobytes() + mask[place].tobytes()
             if not records.exact[row[0]]:
                 continue
-            if key not in fits:
-                fits[key] = fit_moving_rate(values[place], mask[place])
-            exactly = fits[key]
+            exactly = fits[key] = fits[key] if key in fits else fit_moving_rate(values[place], mask[place])
             if exactly is None or exactly.variance[0] > WORTH_MOVING * variance[row[0]]:
                 continue
             again = left_by_motion(row, exactly)

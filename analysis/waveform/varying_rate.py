@@ -124,10 +124,8 @@ def _fitted(record: SampledRecord, seen: FirstPhase) -> tuple[Fitted, Terms, boo
         loose = record.fit(moved, LOOSE / scale, ITERATIONS)
     tight = record.fit(loose.trajectory, TIGHT / scale, LAST_ITERATIONS)
     noisy = tight.evidence > loose.evidence + NOISY_RATE
-    best = tight
-    if noisy:
-        free = record.fit(loose.trajectory, FREE / scale, ITERATIONS)
-        best = min(free, loose, key=lambda fitted: fitted.evidence)
+    free = record.fit(loose.trajectory, FREE / scale, ITERATIONS) if noisy else loose
+    best = min(free, loose, key=lambda fitted: fitted.evidence) if noisy else tight
     needed = terms_needed(best, record.count)
     kept = replace(needed, rate=min(int(ROOM * needed.rate) + ROOM_AT_LEAST, best.trajectory.terms.rate))
     if noisy:

@@ -110,6 +110,7 @@ class BudgetSettings(SettingsSection):
     third_order_limit_dbc: Annotated[float, Field(le=0, ge=-200)] = 0.0
     phase_change_limit_rad: Annotated[float, Field(ge=0, le=10)] = 0.0
     lock_in_drift_limit_percent: Annotated[float, Field(ge=0, le=50)] = 0.0
+    thermal_tail_limit_percent: Annotated[float, Field(ge=0, le=10)] = 0.0
     bandwidth_hz: NotNegative
     front_end_u_percent: NotNegative = 5.0
     gain_corner_hz: NotNegative
@@ -391,6 +392,7 @@ def bench_knowledge(settings: Settings) -> BenchKnowledge:
         gain=ResponseCorner(stated.gain_corner_hz or math.nan),
         probe_limit=PROBE_LIMIT if scope.probe > 1 and math.isnan(measured) else 0.0,
         response_u=measured,
+        tail_limit=0.01 * stated.thermal_tail_limit_percent,
     )
 
 

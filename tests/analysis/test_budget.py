@@ -8,7 +8,7 @@ import pytest
 import reference
 from scipy import stats
 
-from analysis import combine_estimates, estimate_lock_in
+from analysis import beat_signal, combine_estimates, estimate_lock_in
 from analysis.budget import (
     NOTHING_BUT_RECORDS,
     BenchKnowledge,
@@ -24,6 +24,7 @@ from analysis.budget import (
     operating_point,
 )
 from analysis.rotation import rate_on_axis
+from benchmarks import sbc
 from benchmarks.monte_carlo import simulate_measurements
 
 K, WL = 2000.0, 0.01
@@ -164,6 +165,33 @@ def test_corners_have_the_known_effect() -> None:
         assert found.u == pytest.approx(abs(lost) / math.sqrt(3), rel=0.02)
     with pytest.raises(ValueError, match="lets no beat through"):
         lock_in_budget(point, bench(bandwidth=ResponseCorner(0.0)))
+
+
+@pytest.mark.parametrize("over", [3.0, 8.0])
+def test_a_thermal_tail_has_the_effect_of_a_record_that_went_through_one(over: float) -> None:
+    """Its late share is put on the spectrum of a record of whole periods; the budget never saw a sample."""
+    shape, point = point_at(over, noise=0.0, level=0.0)
+    times = shape.sample_interval * np.arange(2500)
+    volts = beat_signal(times, scale_factor=K, input_rate=over * WL, lock_in_rate=WL, amplitude=1.0)
+    hz = np.fft.rfftfreq(2500, shape.sample_interval)
+    moved = []
+    for after in np.geomspace(3e-4, 3e-3, 9):
+        late = np.fft.irfft(np.fft.rfft(volts) * (1 + 0.01 / (1 + 2j * np.pi * hz * after)), 2500)
+        found = estimate_lock_in(late + 1e-6 * np.sin(7e4 * times**2), shape.sample_interval, scale_factor=K)
+        moved.append(abs(float(found.lock_in_rate) - WL))
+    said = line(lock_in_budget(point, bench(tail_limit=0.01)), "tail")
+    assert math.sqrt(3) * said.contribution == pytest.approx(max(moved), rel=0.15)
+    assert not [one for one in lock_in_budget(point, bench()).inputs if one.name == "tail"]
+
+
+@pytest.mark.parametrize("seed", [503, pytest.param(501, marks=pytest.mark.slow)])
+def test_a_stated_thermal_tail_covers_what_it_does_to_a_run(seed: int) -> None:
+    silent, stated = (
+        sbc.outcome(sbc.PLANS["default run"], 0.1, sbc.FAULTS[name], seed)
+        for name in ("thermal tail of 0.2 to 1 %", "the same, 1 % stated")
+    )
+    assert abs(silent.pull) > 1.5 and abs(stated.pull) < 1.0 and stated.covered
+    assert 1.5 < stated.relative_u / silent.relative_u < 5.0
 
 
 def test_what_nobody_stated_counts_with_its_bound() -> None:

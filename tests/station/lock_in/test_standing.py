@@ -191,7 +191,12 @@ def test_a_file_replaces_what_it_states_and_nothing_else(tmp_path: Path) -> None
     limit = "[limits]\nlock_in_rate_u_dps = 1e-9\n"
     both = evaluated(tmp_path, toml=f"[budget]\nbandwidth_hz = 123456.0\n{limit}")
     assert both.verdict == "FAIL"
-    later = ("third_order_limit_dbc", "phase_change_limit_rad", "lock_in_drift_limit_percent")
+    later = (
+        "third_order_limit_dbc",
+        "phase_change_limit_rad",
+        "lock_in_drift_limit_percent",
+        "thermal_tail_limit_percent",
+    )
     saved = {**both.run.facts.settings["budget"], **dict.fromkeys(later, 0.0)}  # names of later versions
     assert both.settings.budget.model_dump() == {**saved, "bandwidth_hz": 123456.0}
     only_limits = evaluated(tmp_path, toml=limit)

@@ -171,9 +171,7 @@ def told(file: Path) -> Iterator[None]:
         yield
     except (sqlite3.Error, ValueError, OverflowError, OSError) as error:
         if isinstance(error, OSError) or getattr(error, "sqlite_errorcode", 0) & 0xFF == sqlite3.SQLITE_IOERR:
-            raise RunError(
-                f"{file}: the disk does not give it ({error}): try again, or copy it to another"
-            ) from error
+            raise RunError(f"{file}: the disk does not give it ({error}): try again, or copy it away") from error
         raise RunError(
             f"{file}: is damaged and cannot be read ({error}): `gyrolock salvage {file}` gets out what can be read"
         ) from error
@@ -187,8 +185,9 @@ def _connected(file: Path, held: ExitStack) -> sqlite3.Connection:
         db.execute("BEGIN")  # else each of the next questions locks the file and looks for a journal again
         db.execute("SELECT count(*) FROM sqlite_master").fetchone()
         return db
-    except sqlite3.OperationalError as error:
-        if error.sqlite_errorcode & 0xFF not in (sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_READONLY):
+    except sqlite3.OperationalError as error:  # IOERR: a full disk has no room for the map of a journal
+        unwritable = sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_READONLY, sqlite3.SQLITE_IOERR
+        if error.sqlite_errorcode & 0xFF not in unwritable:
             raise
     journal = journal_of(file)
     if not journal.exists():

@@ -199,7 +199,7 @@ def _likeliest(record: SampledRecord, fitted: Fitted, width: float, finest: floa
             middle += width if above < below else -width
         else:
             width /= 2
-    if finest == FINEST:  # a parabola through the three last ones
+    if finest == FINEST:  # a parabola through the last three; terms are chosen well enough without
         at(middle + width * (below - above) / max(below + above, ALIKE))
     return min(tried.values(), key=lambda fit: fit.evidence)
 

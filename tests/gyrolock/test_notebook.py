@@ -13,7 +13,6 @@ pytest.importorskip("nbclient", reason="nbclient is not installed")
 pytest.importorskip("pyarrow", reason="the extra `data` is not installed")
 
 
-@pytest.mark.slow
 def test_every_cell_runs_and_the_page_shows_what_it_gave(tmp_path: Path) -> None:
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
     done = subprocess.run(

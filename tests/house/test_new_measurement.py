@@ -149,7 +149,6 @@ def test_a_new_test_of_the_fibre_gyro_is_one_file(copy: Path) -> None:
     assert tested["verdict"] == "PASS"
 
 
-@pytest.mark.slow
 def test_a_new_number_is_its_field_and_its_declaration(copy: Path) -> None:
     (copy / "misfit.toml").write_text("[limits]\nmisfit = 1e9\n[eps]\nrecord_s = 0.2\n", encoding="utf-8")
     found = json.loads(gyrolock(copy, "fog", "eps", "--config=misfit.toml", "--json", "--quiet", "--no-report"))

@@ -156,7 +156,10 @@ import cProfile, importlib, pkgutil, sys, threading
 root, profiles = sys.argv[1], []
 def profiled(*_):
     profiles.append(cProfile.Profile(builtins=False))
-    profiles[-1].enable()
+    try:
+        profiles[-1].enable()
+    except ValueError:  # from Python 3.12 on the first one sees every thread
+        sys.setprofile(None)
 import gyrolock, analysis, instrument, station
 for package in (gyrolock, analysis, instrument, station):
     for module in pkgutil.walk_packages(package.__path__, package.__name__ + "."):

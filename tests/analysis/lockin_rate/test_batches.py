@@ -5,6 +5,7 @@ from dataclasses import fields
 import numpy as np
 
 from analysis import beat_signal, estimate_lock_in
+from analysis.waveform import fit
 
 K, INTERVAL, SAMPLES = 9000.0, 2e-5, 1250
 
@@ -52,11 +53,13 @@ def estimates(order: np.ndarray, at_once: int) -> dict[str, np.ndarray]:
     return {name: np.concatenate([getattr(part, name) for part in parts])[back] for name in arrays}
 
 
-def test_a_record_gives_the_same_bits_alone_and_in_any_batch():
+def test_a_record_gives_the_same_bits_alone_and_in_any_batch(monkeypatch):
     together = estimates(np.arange(len(VOLTS)), len(VOLTS))
     assert len(np.unique(together["flags"])) > 8  # records of many kinds, so that every branch has its say
     shuffled = np.random.default_rng(1).permutation(len(VOLTS))
-    for order, at_once in ((np.arange(len(VOLTS)), 1), (shuffled, 7)):
+    # and with more that move than are worked on together
+    for order, at_once, moving in ((np.arange(len(VOLTS)), 1, 256), (shuffled, 7, 256), (shuffled, 60, 3)):
+        monkeypatch.setattr(fit, "MOVING_AT_ONCE", moving)
         apart = estimates(order, at_once)
         for name, values in together.items():
             assert values.tobytes() == apart[name].tobytes(), (name, at_once)

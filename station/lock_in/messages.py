@@ -571,7 +571,7 @@ _REMEDIES = {
     "gyro.scale_factor_pulses_per_deg and budget.scale_factor_u_ppm",
     "time_base": "compare the time base with a frequency counter, and state budget.time_base_limit_ppm",
     "response": "measure the response in [front_end] again, more finely, and state budget.front_end_u_percent",
-    "tail": f"{_LED}, state it in [front_end] and no thermal tail; or take a scope without one",
+    "tail": f"{_LED}, and state it in [front_end] instead of the tail",
     "input_rate": "leave the rate out, so that each record is its own reference",
     "relation": "use the exact relation",
     "scatter": "find what makes the records differ (temperature, table, alignment), or take four times as many",

@@ -33,7 +33,7 @@ from analysis.budget import SCALE_FACTOR_LIMIT, TABLE_RATE_LIMIT, BenchKnowledge
 from analysis.frequency_method import fit_frequencies
 from analysis.harmonics import fit_free_harmonics
 from analysis.lockin_rate import size_interval
-from analysis.ring_laser.two_mode_laser import beat_phase, periodic_states
+from analysis.ring_laser.two_mode_laser import beat_phase, periodic_states, states_beside
 from analysis.several_rates import RatesFit, prior_of
 from analysis.several_rates.points import Points, gather, with_noise
 from analysis.several_rates.ratio_model import SENSES, RatioData, in_standard_uncertainties, nearest_series
@@ -265,7 +265,7 @@ def _backscatter(part: Floats) -> Complexes:
 
 
 class LaserModel:
-    """The model of some data; what it found last is where the next search for periodic solutions begins."""
+    """The model of some data; of several sets of parameters the last is solved, others must be beside it."""
 
     def __init__(self, data: BeamsData) -> None:
         self.data, some = data, data.points.points
@@ -273,13 +273,13 @@ class LaserModel:
         turns = 1 if steepest < _STEEP else 2 if steepest < _STEEPER else 4
         self._sense = np.sign(some.rate)
         self._values = np.zeros((some.rate.size, 2, (_FEWEST - 1) * turns + 1))
-        self._sagnac = self._sense * some.angular
+        self._sagnac = self._sense * some.angular  # what was found last is where the next search begins
         self.softer = 1.0  # times as much noise as there is
 
-    def residual(self, parameters: Floats, *, keep: bool = False) -> Floats:
+    def residual(self, parameters: Floats) -> Floats:
         """Everything in its standard uncertainties for parameters (B, N_PARAMETERS): (B, values)."""
         data, some = self.data, self.data.points.points
-        ratio, third, swing, sagnac, found = self.predicted(parameters, keep=keep)
+        ratio, third, swing, sagnac, found = self.predicted(parameters)
         of_ratio, of_third = in_standard_uncertainties(some.ratio - ratio, some.third - third, some)
         of_swing = (data.swing - swing) * data.swing_weight
         rate = sagnac / (2 * np.pi * data.points.records.records.scale_factor)
@@ -295,13 +295,11 @@ class LaserModel:
         whole = np.concatenate([*seen, before], axis=-1)
         return np.where(found[:, np.newaxis] & np.isfinite(whole), whole, _FAILED)
 
-    def predicted(
-        self, parameters: Floats, *, keep: bool = False
-    ) -> tuple[Complexes, Floats, Complexes, Floats, Bools]:
+    def predicted(self, parameters: Floats) -> tuple[Complexes, Floats, Complexes, Floats, Bools]:
         """Ratio, third harmonic (B, P), modulation of the beams (B, P, 2), 2 pi K W (B, P); sets that have any."""
         data, angular, column = self.data, self.data.points.points.angular, parameters[:, np.newaxis]
         (numbers, readout), shape = _lasers(parameters, data), (len(parameters), angular.size)
-        light = self._light(numbers.reshape(-1, 5), keep=keep and len(parameters) == 1)
+        light = self._light(numbers.reshape(-1, 5))
         # records turn while they are taken: their mean is that of two
         parts = []
         for beside, weight in zip(data.points.beside, data.points.beside_weights, strict=True):
@@ -328,7 +326,7 @@ class LaserModel:
         beams = np.einsum("bik,bk->bi", light.beams, light.kernel[:, 0])[light.of_set]
         return np.conj(w) * turn, third, beams * (np.abs(lines[:, 0]) / lines[:, 0])[:, np.newaxis]
 
-    def _light(self, numbers: Floats, *, keep: bool) -> _Light:
+    def _light(self, numbers: Floats) -> _Light:
         """Periodic solutions for the lasers (B P, 5) of all sets: each different one once."""
         some, n = self.data.points.points, self._values.shape[-1]
         place = np.tile(np.arange(some.rate.size), len(numbers) // some.rate.size)
@@ -337,9 +335,14 @@ class LaserModel:
             np.column_stack([numbers, place]), axis=0, return_index=True, return_inverse=True
         )
         lasers, at = numbers[which], place[which]
-        values, sagnac, found = _by_degrees(lasers, self._sagnac[at], self._values[at], some.angular[at])
-        if keep and found.all():
-            self._values[at], self._sagnac[at] = values, sagnac
+        last = numbers[-some.rate.size :]
+        values, sagnac, found = _by_degrees(last, self._sagnac, self._values, some.angular)
+        if found.all():
+            self._values, self._sagnac = values, sagnac
+        if found.all() and len(lasers) > len(last):
+            values, sagnac = states_beside(lasers, last, at, sagnac, values, some.angular)
+        else:
+            values, sagnac = values[at], sagnac[at]
         a1, a2, half = lasers.T[:3, :, np.newaxis]
         psi = self._sense[at][:, np.newaxis] * 2 * np.pi * np.arange(n) / n
         swap = np.exp((values[:, 0] - values[:, 1]) / 2)
@@ -347,7 +350,7 @@ class LaserModel:
         turned, weight = beat_phase(psi, 1 / np.abs(speed))
         powers = np.multiply.accumulate(np.tile(np.exp(-1j * turned), (n // 2, 1, 1)))
         kernel = np.asarray(np.moveaxis(powers, 0, 1) * (2 * weight / n)[:, np.newaxis], np.complex128)
-        return _Light(psi, np.exp(values), kernel, sagnac, found, back.ravel())
+        return _Light(psi, np.exp(values), kernel, sagnac, found[at], back.ravel())
 
     def _lines(self, parameters: Floats, readout: Floats, light: _Light) -> Complexes:
         """Harmonics (B P, n // 2) of the beat behind its receiver, over its amplitude."""
@@ -668,12 +671,10 @@ def _beforehand(
     if largest.all():
         sd[OTHER_BEAM] *= largest / largest[::-1]  # it is a share of volts, and the levels differ
     bandwidth = lowest_bandwidth(slowest) if math.isnan(known.bandwidth_hz) else known.bandwidth_hz
-    mean[DELAY] = 1 / (2 * np.pi * bandwidth) / 2
-    sd[DELAY] = mean[DELAY] / _RECTANGLE
+    mean[DELAY], sd[DELAY] = np.array([1.0, 1 / _RECTANGLE]) / (4 * np.pi * bandwidth)
     sd[CORNER] = CORNER_LIMIT * known.ac_corner_hz / _RECTANGLE
-    sd[SCALE], sd[BIAS] = known.scale_u, _BIAS
-    if math.isnan(known.scale_u):
-        sd[SCALE] = math.hypot(SCALE_FACTOR_LIMIT, TABLE_RATE_LIMIT) / _RECTANGLE
+    by_limits = math.hypot(SCALE_FACTOR_LIMIT, TABLE_RATE_LIMIT) / _RECTANGLE
+    sd[SCALE], sd[BIAS] = by_limits if math.isnan(known.scale_u) else known.scale_u, _BIAS
     return mean, sd
 
 
@@ -695,7 +696,7 @@ class LaserFit:
     def at(cls, model: LaserModel, parameters: Floats) -> LaserFit:
         """What the slopes of the model say about some parameters."""
         free = np.flatnonzero(model.data.sd > 0)
-        residual = model.residual(parameters[np.newaxis], keep=True)[0]
+        residual = model.residual(parameters[np.newaxis])[0]
         slopes = _jacobian(model, parameters, free)
         size = np.maximum(np.linalg.norm(slopes, axis=0), 1e-100)
         eigenvalues, vectors = np.linalg.eigh((slopes / size).T @ (slopes / size))
@@ -714,11 +715,7 @@ class LaserFit:
     def coupling(self, widen: float) -> tuple[Answer, tuple[float, float]]:
         """|C| freed of the bias that noise gives to its size, rad/s, and the phase of C with its u."""
         first, second = (complex(_backscatter(self.parameters[part])) for part in (FIRST, SECOND))
-        rows = (
-            [[one.real, -one.imag] for one in (first, second)],
-            [[one.imag, one.real] for one in (first, second)],
-        )
-        both, whole = np.array(rows).reshape(2, 4), first + second
+        both, whole = np.hstack([[[c.real, -c.imag], [c.imag, c.real]] for c in (first, second)]), first + second
         spread = both @ self.covariance[:4, :4] @ both.T * widen
         size = max(abs(whole), 1e-300)
         along, across = np.array([whole.real, whole.imag]) / size, np.array([-whole.imag, whole.real]) / size
@@ -736,9 +733,11 @@ class LaserFit:
 
     def corrected(self, widen: float) -> tuple[Floats, Floats]:
         """Beat that each point would have without backscatter, Hz, signed, and its u."""
-        sagnac = self.model.predicted(self.parameters[np.newaxis])[3][0]
-        moved = self.parameters + _steps(self.model.data)
-        slopes = (self.model.predicted(moved)[3] - sagnac) / np.diagonal(moved - self.parameters)[:, np.newaxis]
+        steps = _steps(self.model.data)
+        *moved, sagnac = self.model.predicted(
+            np.concatenate([self.parameters + steps, self.parameters[np.newaxis]])
+        )[3]
+        slopes = (np.array(moved) - sagnac) / np.diagonal(steps)[:, np.newaxis]
         variance = np.einsum("ip,ij,jp->p", slopes, self.covariance, slopes) * widen
         u = np.sqrt(np.maximum(variance, 0.0)) / (2 * np.pi)
         return sagnac / (2 * np.pi), np.hypot(u, self.model.data.beat_u)  # what shifts the beat shifts it as much
@@ -801,7 +800,7 @@ def _search(model: LaserModel, start: Floats, evaluations: int) -> tuple[Floats,
         return parameters
 
     def residual(values: Floats) -> Floats:
-        return np.asarray(model.residual(whole(values)[np.newaxis], keep=True)[0])
+        return np.asarray(model.residual(whole(values)[np.newaxis])[0])
 
     def slope(values: Floats) -> Floats:
         return _jacobian(model, whole(values), free)

@@ -242,33 +242,34 @@ def with_beams(fit: RatesFit, beams: BeamsFit) -> RatesFit:
     flags = fit.flags & ~_SETTLED | sum(RatesFlag[str(one.name)] for one in told if one & beams.flags)
     beside = dict(beams.beside)
     lag, lag_u = beside.pop("lag")
-    found: dict[str, Any] = {name: value for name, (value, _) in beside.items()}
+    found: dict[str, Any] = {name: getattr(beams, name) for name in _OF_BEAMS}
+    found |= {name: value for name, (value, _) in beside.items()}
     found |= {f"{name}_u": u for name, (_, u) in beside.items()}
     gain_time, gain_u = 1 / beams.gain_rate, math.log(beams.gain_rate_high_95 / beams.gain_rate) / NORMAL_95
     return replace(
         fit,
-        lock_in_rate=beams.lock_in_rate,
-        lock_in_rate_u=beams.lock_in_rate_u,
-        lock_in_rate_low_95=beams.lock_in_rate_low_95,
-        lock_in_rate_high_95=beams.lock_in_rate_high_95,
         alternatives=(),
         counted=fit.counted | set(COUNTED),
-        backscatter_phase=beams.backscatter_phase,
-        backscatter_phase_u=beams.backscatter_phase_u,
-        distortion=beams.distortion,
-        distortion_u=beams.distortion_u,
         **found,
         lag_square=lag * abs(lag),
         lag_square_u=math.hypot(2 * lag * lag_u, lag_u**2),
-        chi_square=beams.chi_square,
-        degrees_of_freedom=beams.degrees_of_freedom,
-        p_value=beams.p_value,
         gain_time=gain_time,
         gain_time_u=min(gain_u, 10.0) * gain_time,
         flags=int(flags),
     )
 
 
+_OF_BEAMS = {
+    *(
+        "lock_in_rate",
+        "lock_in_rate_u",
+        "lock_in_rate_low_95",
+        "lock_in_rate_high_95",
+        "distortion",
+        "distortion_u",
+    ),
+    *("backscatter_phase", "backscatter_phase_u", "chi_square", "degrees_of_freedom", "p_value"),
+}
 _SETTLED = int(
     RatesFlag.NOT_SIGNIFICANT
     | RatesFlag.RATES_TOO_CLOSE

@@ -200,47 +200,81 @@ def periodic_states(
     -------
     values (B, 2, n), sagnac (B,), and whether each was found: where the phase stands still none is.
     """
-    count, _, n = start.shape
-    sense, values, at = np.sign(sagnac), start, np.arange(n)
-    psi = sense[:, np.newaxis] * _phases(n, 1.0)
-    steps = np.subtract.outer(at, at)
-    with np.errstate(divide="ignore"):
-        matrix = 0.5 * np.where(steps % 2 == 0, 1.0, -1.0) / np.sin(np.pi * steps / n)
-    np.fill_diagonal(matrix, 0.0)
-    derive = sense[:, np.newaxis, np.newaxis] * matrix
+    values = start
     for _ in range(ROUNDS):
-        speed, growth, speed_by, growth_by = _slopes(lasers, sagnac, psi, values)
-        found = np.min(speed * sense[:, np.newaxis], axis=1) > STANDSTILL * np.abs(sagnac)
-        slopes = np.einsum("bkj,bij->bik", derive, values)
-        jacobian = np.zeros((count, 2 * n + (angular is not None), 2 * n + (angular is not None)))
-        missing = np.empty(jacobian.shape[:2])
-        missing[:, : 2 * n] = (growth - speed[:, np.newaxis] * slopes).reshape(count, -1)
-        for beam in range(2):
-            jacobian[:, beam * n : (beam + 1) * n, beam * n : (beam + 1) * n] += speed[:, :, np.newaxis] * derive
-            for other in range(2):
-                part = slopes[:, beam] * speed_by[:, other] - growth_by[:, beam, other]
-                jacobian[:, beam * n + at, other * n + at] += part
-        if angular is not None:
-            # one more unknown, and the time that the phase takes for a turn
-            share = (angular * sense)[:, np.newaxis] / speed / n
-            jacobian[:, :-1, -1] = slopes.reshape(count, -1) * angular[:, np.newaxis]
-            jacobian[:, -1, :-1] = -np.tile(share / speed, 2) * speed_by.reshape(count, -1)
-            jacobian[:, -1, -1] = -angular * np.sum(share / speed, axis=1)
-            missing[:, -1] = 1 - share.sum(axis=1)
+        missing, jacobian, found = _newton(lasers, sagnac, values, angular)
         try:
-            step = np.linalg.solve(jacobian, missing[..., np.newaxis])[..., 0]
+            step = np.asarray(np.linalg.solve(jacobian, missing[..., np.newaxis])[..., 0], np.float64)
         except np.linalg.LinAlgError:  # one of them, whose phase stands, must not end the others
             whole = np.isfinite(jacobian).all(axis=(1, 2))
             step = np.full_like(missing, np.nan)
             step[whole] = (np.linalg.pinv(jacobian[whole]) @ missing[whole, :, np.newaxis])[..., 0]
         size = np.max(np.abs(step), axis=1)
         step *= np.minimum(1.0, LONGEST_STEP / np.maximum(size, 1e-300))[:, np.newaxis]
-        values = values + step[:, : 2 * n].reshape(values.shape)
-        if angular is not None:
-            sagnac = sagnac + angular * step[:, -1]
+        values, sagnac = _stepped(values, sagnac, step, angular)
         if not np.any(found & (size >= CONVERGED)):
             break
     return values, sagnac, found & (size < CONVERGED)
+
+
+def states_beside(
+    lasers: Floats, known: Floats, of: Indices, sagnac: Floats, values: Floats, angular: Floats
+) -> tuple[Floats, Floats]:
+    """Values (B, 2, n) and sagnac (B,) of lasers (B, 5) so near to others that one step of Newton's will do.
+
+    Of those, `known` (P, 5), the solutions and the beats (P,) are given; `of` (B,) says which is near to which.
+    """
+    inverse = np.linalg.inv(_newton(known, sagnac, values, angular)[1])
+    # the slopes are those of the known ones: the same for all that are near to it
+    missing = _newton(lasers, sagnac[of], values[of], angular[of], slopes=False)[0]
+    step = (inverse[of] @ missing[..., np.newaxis])[..., 0]
+    return _stepped(values[of], sagnac[of], step, angular[of])
+
+
+def _stepped(values: Floats, sagnac: Floats, step: Floats, angular: Floats | None) -> tuple[Floats, Floats]:
+    values = values + step[:, : values[0].size].reshape(values.shape)
+    return values, sagnac if angular is None else sagnac + angular * step[:, -1]
+
+
+def _newton(
+    lasers: Floats, sagnac: Floats, values: Floats, angular: Floats | None, *, slopes: bool = True
+) -> tuple[Floats, Floats, Bools]:
+    """What equations (1) miss (B, m), how that moves with the unknowns (B, m, m), and where the phase turns."""
+    count, _, n = values.shape
+    sense, at = np.sign(sagnac), np.arange(n)
+    psi = sense[:, np.newaxis] * _phases(n, 1.0)
+    derive = sense[:, np.newaxis, np.newaxis] * _derivative(n)
+    speed, growth, speed_by, growth_by = _slopes(lasers, sagnac, psi, values)
+    turns = np.min(speed * sense[:, np.newaxis], axis=1) > STANDSTILL * np.abs(sagnac)
+    slope = values @ derive.swapaxes(1, 2)
+    missing = np.empty((count, 2 * n + (angular is not None)))
+    missing[:, : 2 * n] = (growth - speed[:, np.newaxis] * slope).reshape(count, -1)
+    if angular is not None:
+        # one more unknown, and the time that the phase takes for a turn
+        share = (angular * sense)[:, np.newaxis] / speed / n
+        missing[:, -1] = 1 - share.sum(axis=1)
+    jacobian = np.zeros((count, missing.shape[1], missing.shape[1] if slopes else 0))
+    if slopes:
+        for beam in range(2):
+            jacobian[:, beam * n : (beam + 1) * n, beam * n : (beam + 1) * n] = speed[:, :, np.newaxis] * derive
+            for other in range(2):
+                part = slope[:, beam] * speed_by[:, other] - growth_by[:, beam, other]
+                jacobian[:, beam * n + at, other * n + at] += part
+        if angular is not None:
+            jacobian[:, :-1, -1] = slope.reshape(count, -1) * angular[:, np.newaxis]
+            jacobian[:, -1, :-1] = -np.tile(share / speed, 2) * speed_by.reshape(count, -1)
+            jacobian[:, -1, -1] = -angular * np.sum(share / speed, axis=1)
+    return missing, jacobian, np.asarray(turns)
+
+
+@lru_cache(maxsize=8)
+def _derivative(n: int) -> Floats:
+    """By the phase, of a function whose values at n even steps of a turn are given, n odd: (n, n)."""
+    steps = np.subtract.outer(np.arange(n), np.arange(n))
+    with np.errstate(divide="ignore"):
+        matrix = 0.5 * np.where(steps % 2 == 0, 1.0, -1.0) / np.sin(np.pi * steps / n)
+    np.fill_diagonal(matrix, 0.0)
+    return matrix
 
 
 def _slopes(lasers: Floats, sagnac: Floats, psi: Floats, values: Floats) -> tuple[Floats, Floats, Floats, Floats]:
@@ -302,11 +336,11 @@ class Winking:
 
     def frequency(self, point: int, sense: int) -> float:
         """Beat frequency in Hz at a point of the grid."""
-        return _frequency(_path(_laser(self), sense * rate_at(point, self.lock_in_rate))[2])
+        return _frequency(_path(symmetric_laser(**vars(self)), sense * rate_at(point, self.lock_in_rate))[2])
 
     def fringe(self, point: int, sense: int) -> Complexes:
         """Light of the fringes, sqrt(I1 I2) exp(i (phi + beta)), over one period, evenly in time."""
-        turn = np.exp(1j * _laser(self).backscatter_phase)
+        turn = np.exp(1j * symmetric_laser(**vars(self)).backscatter_phase)
         return np.asarray(_over_a_period(_beat(self, point, sense).beat) * turn)
 
     def light(self, point: int, sense: int) -> Floats:
@@ -314,20 +348,9 @@ class Winking:
         return np.stack([_over_a_period(beam).real for beam in _beat(self, point, sense).beams])
 
 
-def _laser(winking: Winking) -> TwoModeLaser:
-    return symmetric_laser(
-        winking.lock_in_rate,
-        scale_factor=winking.scale_factor,
-        gain_corner_hz=winking.gain_corner_hz,
-        phase_sum=winking.phase_sum,
-        cross_saturation=winking.cross_saturation,
-        backscatter_ratio=winking.backscatter_ratio,
-    )
-
-
 @lru_cache(maxsize=1024)
 def _beat(winking: Winking, point: int, sense: int) -> SteadyBeat:
-    return steady_beat(_laser(winking), sense * rate_at(point, winking.lock_in_rate))
+    return steady_beat(symmetric_laser(**vars(winking)), sense * rate_at(point, winking.lock_in_rate))
 
 
 def _over_a_period(harmonics: Complexes) -> Complexes:

@@ -130,7 +130,6 @@ def estimate_lock_in(
     def shaped(values: Floats) -> Floats:
         return np.asarray(np.where(fatal, np.nan, values)).reshape(stack.shape)
 
-    blank = np.where(fatal, np.nan, 1.0)
     sense = np.where(rate < 0, -1.0, 1.0) if rate is not None else np.ones(beat.size.shape)
     own_rate = input_rate_from_beat(beat.ratio, beat.frequency / scale_factor)
     if rate is not None:
@@ -146,8 +145,8 @@ def estimate_lock_in(
         ratio=shaped(beat.ratio),
         ratio_u=shaped(beat.ratio_u),
         misfit_u=shaped(beat.misfit),
-        complex_ratio=(beat.rho * blank).reshape(stack.shape),
-        complex_ratio_covariance=(beat.rho_covariance * blank[:, np.newaxis, np.newaxis]).reshape(
+        complex_ratio=np.where(fatal, complex(np.nan, np.nan), beat.rho).reshape(stack.shape),
+        complex_ratio_covariance=np.where(fatal[:, np.newaxis, np.newaxis], np.nan, beat.rho_covariance).reshape(
             *stack.shape, 2, 2
         ),
         backscatter_phase=shaped(backscatter_phase(beat.rho, sense)),

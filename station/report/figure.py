@@ -45,7 +45,7 @@ STYLE: dict[str, Any] = {
 
 def svg_element(name: str, size: tuple[float, float], draw: Callable[[Figure], None]) -> str:
     """Draw a figure as an SVG element that can stand beside others in one page."""
-    drawn = _drawn(name, size, draw, "svg", transparent=True, metadata={"Date": None, "Creator": None})
+    drawn = _drawn(name, size, draw, "svg", "none", {"Date": None, "Creator": None})
     return _embeddable(drawn.decode(), name)
 
 
@@ -58,7 +58,7 @@ def write_picture(path: Path, name: str, size: tuple[float, float], draw: Callab
         ".pdf": {"CreationDate": None, "Creator": None, "Producer": None},
         ".png": {"Software": None},
     }[kind]
-    content = _drawn(name, size, draw, kind[1:], facecolor="white", dpi=130, metadata=metadata)
+    content = _drawn(name, size, draw, kind[1:], "white", metadata)
     partial = path.with_name(f"{path.name}.partial")
     try:
         partial.write_bytes(content)
@@ -84,23 +84,34 @@ def renamed(svg: str, name: str) -> str:
     return re.sub(r'(href="#|url\(#)', rf"\g<1>{name}-", svg)
 
 
-def _drawn(name: str, size: tuple[float, float], draw: Callable[[Figure], None], kind: str, **how: Any) -> bytes:
+def _drawn(
+    name: str,
+    size: tuple[float, float],
+    draw: Callable[[Figure], None],
+    kind: str,
+    face: str,
+    metadata: dict[str, Any],
+) -> bytes:
     import matplotlib
     from matplotlib.backends.backend_svg import FigureCanvasSVG
     from matplotlib.figure import Figure
     from matplotlib.layout_engine import ConstrainedLayoutEngine
 
-    style: Any = STYLE | {"svg.hashsalt": f"gyrolock-{name}"}
+    style: Any = STYLE | {"svg.hashsalt": f"gyrolock-{name}", "figure.facecolor": face, "axes.facecolor": face}
     with matplotlib.rc_context(style):
         figure = Figure(figsize=size, dpi=72)
-        FigureCanvasSVG(figure)
+        canvas = FigureCanvasSVG(figure)
         draw(figure)
         if figure.legends or figure.texts:  # which stand beside the axes of all
             ConstrainedLayoutEngine().execute(figure)
         else:
             make_room(figure)
         file = io.BytesIO()
-        figure.savefig(file, format=kind, **how)
+        if kind == "svg":
+            # `savefig` goes through everything once before
+            canvas.print_svg(file, metadata=metadata)  # type: ignore[no-untyped-call]
+        else:
+            figure.savefig(file, format=kind, dpi=130, metadata=metadata)
     return file.getvalue()
 
 

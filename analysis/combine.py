@@ -85,7 +85,11 @@ def combine_estimates(estimates: LockInEstimate, input_rate: Floats | None = Non
     if together.phases_differ:
         flags |= Flag.PHASE_TURNS if together.by_sizes else Flag.MISFIT
     beats, beats_u = _mean_frequency(used)
-    if _wander(used, value, None if input_rate is None else np.asarray(input_rate).ravel()[usable]):
+    alike = used.beat_frequency
+    if input_rate is not None:
+        alike = as_at_one_rate(alike, np.asarray(input_rate).ravel()[usable], value)
+    by_noise = 10 * used.beat_frequency_u.max() / used.beat_frequency.mean()
+    if np.ptp(alike) > max(RATES_DIFFER, by_noise) * alike.mean():
         flags |= Flag.BEAT_WANDERS
     if together.inflation > UNLIKE:
         flags |= Flag.RECORDS_DIFFER
@@ -145,13 +149,6 @@ def _mean_frequency(used: LockInEstimate) -> tuple[float, float]:
     if degrees < 1 or scipy.special.chdtrc(degrees, float(np.sum(weights * (frequency - mean) ** 2))) > UNLIKELY:
         return mean, by_noise
     return float(frequency.mean()), float(max(frequency.std(ddof=1) / np.sqrt(frequency.size), by_noise))
-
-
-def _wander(used: LockInEstimate, lock_in_rate: float, rate: Floats | None) -> bool:
-    """Whether the beats differ by more than `RATES_DIFFER`, and than rates and noise explain."""
-    beats = used.beat_frequency if rate is None else as_at_one_rate(used.beat_frequency, rate, lock_in_rate)
-    by_noise = 10 * used.beat_frequency_u.max() / used.beat_frequency.mean()
-    return bool(np.ptp(beats) > max(RATES_DIFFER, by_noise) * beats.mean())
 
 
 def as_at_one_rate(beats: Floats, rate: Floats, lock_in_rate: float) -> Floats:

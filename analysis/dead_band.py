@@ -407,15 +407,11 @@ def find_dead_band(
     flags |= DeadBandFlag.DRIFT if abs(drift) > SEEN * drift_u else 0
     flags |= DeadBandFlag.ONE_SENSE if np.isnan(found.bias_rate) else 0
     flags |= DeadBandFlag.ROUNDED if noise_part else 0
+    u = float(np.sqrt(found.lock_in_rate_u**2 + half_hysteresis**2 + noise_part**2))
     return DeadBand(
-        lock_in_rate=found.lock_in_rate,
-        lock_in_rate_u=float(np.sqrt(found.lock_in_rate_u**2 + half_hysteresis**2 + noise_part**2)),
+        **found._replace(lock_in_rate_u=u)._asdict(),
         edges=edges,
         edge_half_widths=halves,
-        bias_rate=found.bias_rate,
-        bias_rate_u=found.bias_rate_u,
-        hysteresis=found.hysteresis,
-        hysteresis_u=found.hysteresis_u,
         drift=corner.drift,
         drift_u=corner.drift_u,
         corner_rate=corner.rate,

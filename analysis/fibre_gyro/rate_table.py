@@ -492,7 +492,10 @@ def scale_linearity(runs: TableRuns, *, irreproducibility_ppm: float | None = No
     of_chosen, rows, scatter = values_of(chosen) if chosen else ({}, np.empty((0, rate.size)), None)
     known = {**tried, **of_chosen}
     at = np.array(sorted({sense * size for size in sizes for sense in (-1.0, 1.0)}))
-    shape = _shape(at, full)
+    # deviation of the curve of each term from its own line with a constant, over the largest output
+    line = np.column_stack([at, np.ones_like(at)])
+    projector = np.eye(at.size) - line @ np.linalg.pinv(line)
+    shape = {name: projector @ column / full for name, column in _columns(at, full).items()}
     curve = np.column_stack([shape[name] for name in chosen]) @ rows if chosen else np.zeros((at.size, rate.size))
     error = _PPM * full * curve / at[:, np.newaxis]
     error_u = np.array([scatter.standard_u(row) for row in error]) if scatter is not None else np.zeros(at.size)
@@ -528,13 +531,6 @@ def _columns(rate: Floats, full: float) -> dict[str, Floats]:
         "quadratic": rate * part**2,
         "quartic": rate * part**4,
     }
-
-
-def _shape(rate: Floats, full: float) -> dict[str, Floats]:
-    """Deviation of the curve of each term from its own line with a constant, over the largest output."""
-    line = np.column_stack([rate, np.ones_like(rate)])
-    projector = np.eye(rate.size) - line @ np.linalg.pinv(line)
-    return {name: projector @ column / full for name, column in _columns(rate, full).items()}
 
 
 def _rms_of(deviation: Floats, covariance: Floats, freedom: int) -> tuple[float, float, float]:

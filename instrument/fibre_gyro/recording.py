@@ -183,15 +183,14 @@ class RecordBuilder:
                 len(self._rows), missing, self._damaged, self._unusable, discarded_bytes, dict(self._reasons)
             ),
             interval_s=step,
-            clock=self._kind_of_clock(),
+            clock="polls"
+            if self._layout.poll is not None
+            else "counter"
+            if self._layout.has_counter
+            else "frames",
             host_clock=clock,
             doubts=doubts_about(self._layout, self._rows),
         )
-
-    def _kind_of_clock(self) -> str:
-        if self._layout.poll is not None:
-            return "polls"
-        return "counter" if self._layout.has_counter else "frames"
 
     def _take_frame(self, frame: Frame, host_s: float, polled: int | None) -> None:
         tick: Tick | None

@@ -157,7 +157,8 @@ class ScopeState(ABC):
         record = self.acquisition.latest()
         channel = record.channels.get(name, self.panel.channel(name))
         codes = self.digitizer.codes(record, name)
-        return channel_trace(record, name, codes, channel, self._unit(name))
+        ampere = self.model.letter_series and self.panel.text(f"{name}:YUNIT") == "A"
+        return channel_trace(record, name, codes, channel, "A" if ampere else "Volts")
 
     def screen_traces(self) -> dict[str, Trace]:
         """What the screen shows; of a spectrum only the part that is zoomed in."""
@@ -168,10 +169,6 @@ class ScopeState(ABC):
             part = visible_part(self.panel.number(zoom), self.panel.number(position))
             shown["MATH"] = replace(shown["MATH"], codes=shown["MATH"].codes[part])
         return shown
-
-    def _unit(self, name: str) -> str:
-        ampere = self.model.letter_series and self.panel.text(f"{name}:YUNIT") == "A"
-        return "A" if ampere else "Volts"
 
     def reset(self) -> None:
         """`*RST`: factory settings and a new record; header, masks, links and stored data stay."""

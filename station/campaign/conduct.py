@@ -9,7 +9,6 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 from pathlib import Path
-from typing import Any
 
 from instrument import InstrumentError
 from station.campaign.bench import Environment, bench_in_use
@@ -36,7 +35,7 @@ from station.errors import (
     describe_failure,
     one_line,
 )
-from station.measurements import Measurement, measurement, steps_by_name
+from station.measurements import measurement, steps_by_name
 from station.results.verdict import ABORTED, ERROR, FAIL, judged, worst
 from station.runs.acquisition import Taken
 from station.runs.database import utc_now
@@ -312,7 +311,8 @@ class _Attempts:
         kind = measurement(self.step.measurement)
         there = self.run_so_far()
         if there is None:
-            return start_run(kind, self._settings(kind), self.progress, labels=self.labels)
+            values = {**self.step.settings, "output": {"directory": str(self.folder)}}
+            return start_run(kind, kind.kind.model.model_validate(values), self.progress, labels=self.labels)
         try:
             return resume_run(there, self.progress, kind=kind, labels=self.labels)
         except UsageError:
@@ -324,10 +324,6 @@ class _Attempts:
         """Return the run that an earlier attempt or session has begun."""
         there = sorted(self.folder.glob(f"*/{RUN_FILE}"))
         return there[-1] if there else None
-
-    def _settings(self, kind: Measurement[Any, Any]) -> Any:
-        values = {**self.step.settings, "output": {"directory": str(self.folder)}}
-        return kind.kind.model.model_validate(values)
 
 
 _BENCH = InstrumentError, NoUsableSignal  # what a bench does that may be over in a moment

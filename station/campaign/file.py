@@ -74,25 +74,16 @@ def read_campaign(path: Path, unit: str) -> CampaignPlan:
         raise SettingsError(f"{path}: {'; '.join(reading.wrong)}")
     about, reference = campaign.campaign, campaign.reference
     return CampaignPlan(
-        name=about.name,
+        **about.model_dump(exclude={"guard_band", "doubtful", "picture"}),
         file=path,
         file_sha256=hashlib.sha256(path.read_bytes()).hexdigest(),
         settings=campaign.model_dump(mode="json"),
-        station=about.station,
         unit=unit,
-        unit_type=about.unit_type,
         directory=Path(campaign.output.directory),
         simulated=all(kinds[step.measurement].simulated(_model(kinds, step)) for step in steps),
         steps=steps,
         instruments=tuple(InstrumentCard(**dict(one)) for one in campaign.instrument),
         reference=None if reference is None else ReferenceUnit(reference.unit, reference.every_h),
-        attempts=about.attempts,
-        retry_after_s=about.retry_after_s,
-        reports=about.reports,
-        switch_off_afterwards=about.switch_off_afterwards,
-        stop_after_failure=about.stop_after_failure,
-        on_record=about.on_record,
-        ask_for_unit=about.ask_for_unit,
     )
 
 

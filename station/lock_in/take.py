@@ -218,7 +218,8 @@ class _Taking:
             is_last = faster <= fast or not settings.rates_are_chosen
             try:
                 knobs = self._find_beat(highest, partial(beats_at, settings, tilt_deg=None))
-                if is_last or self._is_clear(knobs):
+                seen_dps = knobs.beat_frequency / settings.gyro.scale_factor_pulses_per_deg
+                if is_last or seen_dps > _CLEAR * settings.gyro.expected_lock_in_rate_dps:
                     return self._confirmed(rate), knobs
                 self.progress.note(f"close to lock-in at {fast:g} deg/s, a beat of {knobs.beat_frequency:.4g} Hz")
             except NoUsableSignal as error:
@@ -226,12 +227,6 @@ class _Taking:
                     raise
                 self.progress.note(f"no record at {fast:g} deg/s: {error}")
             fast = faster
-
-    def _is_clear(self, knobs: KnobPositions) -> bool:
-        """Whether a beat is that of a gyro far above the expected lock-in rate."""
-        gyro = self.settings.gyro
-        seen_dps = knobs.beat_frequency / gyro.scale_factor_pulses_per_deg
-        return seen_dps > _CLEAR * gyro.expected_lock_in_rate_dps
 
     def _take_step(self, step: RateStep, count: int) -> None:
         """Go to one rate, find the beat and take the records; without a table it turns already."""

@@ -4,6 +4,7 @@ Only models with mass storage have them. Source: programmer manual 071-1075-04, 
 """
 
 from collections.abc import Callable, Iterator
+from dataclasses import fields
 from datetime import datetime, timedelta
 
 from instrument.errors import FileFormatError, TransferError
@@ -111,20 +112,9 @@ def _recall_waveform(state: ScopeState, arguments: tuple[Argument, ...]) -> None
         waveform = parse_csv(content.decode("ascii", errors="replace"))
     except (FileFormatError, TransferError):
         raise Refusal(Guess.FILE_IS_NO_WAVEFORM) from None
-    read = waveform.preamble
-    rest = read.wfid.partition(",")[2]
-    state.references[target] = Trace(
-        codes=waveform.codes.astype("int8"),
-        wfid=f"Ref{target[-1]},{rest}",
-        pt_fmt=read.pt_fmt,
-        xincr=read.xincr,
-        xzero=read.xzero,
-        xunit=read.xunit,
-        ymult=read.ymult,
-        yzero=read.yzero,
-        yoff=read.yoff,
-        yunit=read.yunit,
-    )
+    read = {one.name: getattr(waveform.preamble, one.name) for one in fields(Trace)[1:]}
+    read["wfid"] = f"Ref{target[-1]},{read['wfid'].partition(',')[2]}"
+    state.references[target] = Trace(waveform.codes.astype("int8"), **read)
 
 
 def _awaited(state: ScopeState) -> bool:

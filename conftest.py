@@ -26,7 +26,7 @@ os.environ["GYROLOCK_LOCKS"] = tempfile.mkdtemp(prefix="gyrolock-locks-")
 atexit.register(shutil.rmtree, os.environ["GYROLOCK_LOCKS"], ignore_errors=True)
 
 # The same examples in every run: a red test is the work of the last change. `make explore` searches freely.
-settings.register_profile("fixed", derandomize=True, database=None, deadline=None, max_examples=100)
+settings.register_profile("fixed", derandomize=True, database=None, deadline=None, max_examples=50)
 settings.register_profile("explore", derandomize=False, deadline=None, max_examples=5000, print_blob=True)
 settings.load_profile("fixed")
 

@@ -167,7 +167,7 @@ def test_corners_have_the_known_effect() -> None:
         lock_in_budget(point, bench(bandwidth=ResponseCorner(0.0)))
 
 
-@pytest.mark.parametrize("over", [3.0, 8.0])
+@pytest.mark.parametrize("over", [3.0, pytest.param(8.0, marks=pytest.mark.slow)])
 def test_a_thermal_tail_has_the_effect_of_a_record_that_went_through_one(over: float) -> None:
     """Its late share is put on the spectrum of a record of whole periods; the budget never saw a sample."""
     shape, point = point_at(over, noise=0.0, level=0.0)
@@ -184,7 +184,8 @@ def test_a_thermal_tail_has_the_effect_of_a_record_that_went_through_one(over: f
     assert not [one for one in lock_in_budget(point, bench()).inputs if one.name == "tail"]
 
 
-@pytest.mark.parametrize("seed", [503, pytest.param(501, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [503, 501])
 def test_a_stated_thermal_tail_covers_what_it_does_to_a_run(seed: int) -> None:
     silent, stated = (
         sbc.outcome(sbc.PLANS["default run"], 0.1, sbc.FAULTS[name], seed)

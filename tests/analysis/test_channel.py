@@ -107,6 +107,7 @@ def test_noise_and_corrections_keep_the_coverage():
     assert np.mean((e.lock_in_rate_low_95 <= WL) & (e.lock_in_rate_high_95 >= WL)) > 0.92
 
 
+@pytest.mark.slow
 def test_corrected_estimates_fit_over_several_rates():
     rng = np.random.default_rng(2)
     corner = 4 * K * 20 * WL

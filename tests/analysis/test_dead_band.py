@@ -127,6 +127,7 @@ def test_one_sense_keeps_the_bias_and_says_so():
     assert np.isnan(band.bias_rate) and np.isnan(band.hysteresis)
 
 
+@pytest.mark.slow
 def test_branches_without_an_edge_are_named():
     low = np.array([0.01, 0.02, 0.03, 0.06, 0.07, -0.01, -0.02, -0.03])
     pulses = np.where(np.abs(low) > WL, 100, 0)

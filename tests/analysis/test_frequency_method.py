@@ -70,6 +70,7 @@ def test_the_covariance_is_that_of_the_scatter(known, bias):
     assert correlation == pytest.approx(fit.covariance[0, 2] / us[-1][0] / us[-1][2], abs=0.1)
 
 
+@pytest.mark.slow
 def test_far_above_lock_in_the_interval_begins_at_zero_and_covers():
     rng = np.random.default_rng(2)
     rates = both(20, 40, 80)

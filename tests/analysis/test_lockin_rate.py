@@ -239,6 +239,7 @@ def test_a_beat_above_half_the_sampling_rate_is_named_by_the_rate_it_is_given():
         assert int(found.flags) & int(Flag.RATE_MISMATCH | FATAL)
 
 
+@pytest.mark.slow
 def test_the_right_rate_is_never_called_wrong():
     rng = np.random.default_rng(33)
     records = [one_record(rng, periods=rng.uniform(3, 400), x=rng.uniform(0, 0.9), noise=3.0) for _ in range(300)]

@@ -13,7 +13,7 @@ from analysis.budget import RecordShape
 from analysis.harmonics import fit_harmonics
 from analysis.plan import expected_beams_u
 from analysis.ring_laser import TwoModeLaser, steady_beat
-from analysis.ring_laser.two_mode_laser import periodic_states
+from analysis.ring_laser.two_mode_laser import periodic_states, states_beside
 from analysis.single_beams import BeamModulation, BeamsFlag, BeamsKnowledge, beam_modulation, fit_beams
 from benchmarks import beams
 
@@ -154,6 +154,7 @@ def test_beams_settle_what_few_rates_leave_open(rates):
     assert abs(fit.lock_in_rate - WL) < 3.3 * fit.lock_in_rate_u
 
 
+@pytest.mark.slow
 def test_a_plan_promises_what_such_lasers_give():
     # 24 lasers are drawn; this bench has one of them, with what it knows
     rates = (0.03, 0.1, 0.3)
@@ -206,7 +207,7 @@ def test_the_conservative_part_pushes_the_beat_up():
 
 
 def test_routes_are_told_apart():
-    alone, swing = measured(Bench(laser(1.4, 1.2, 0.7)))
+    alone, swing = measured(Bench(laser(1.4, 1.2, 0.7)), (0.03, 0.1, -0.03, -0.1))
     fit = fit_beams(alone, swing, KNOWN)
     assert [route.name for route in fit.routes] == ["harmonics", "beams", "frequencies"]
     for route in fit.routes[1:]:
@@ -353,6 +354,26 @@ def test_a_laser_that_stands_does_not_end_the_others(other, rate, angular):
     assert np.isfinite(values[1]).all()
     middle = np.exp(values[1]).mean()
     assert middle == pytest.approx(1.0, abs=0.05)
+
+
+def test_lasers_beside_a_known_one_follow_by_one_step():
+    """To second order in how far they are away, as lasers found by many steps say."""
+    known, sagnac = laser(0.6, 1.0).numbers, 2 * np.pi * K * np.array([0.1])
+    beats = 0.9 * sagnac
+    values, at, found = periodic_states(known[np.newaxis], sagnac, np.zeros((1, 2, 33)), beats)
+    assert found.all()
+    away = []
+    for share in (1e-2, 1e-3):
+        others = known * (1 + share * np.eye(5))
+        near, near_at = states_beside(others, known[np.newaxis], np.zeros(5, np.intp), at, values, beats)
+        exact, exact_at, there = periodic_states(
+            others, np.repeat(at, 5), np.repeat(values, 5, axis=0), np.repeat(beats, 5)
+        )
+        assert there.all()
+        moved = np.abs(exact - values).max(axis=(1, 2))
+        assert np.all(moved > 1e-2 * share)
+        away.append([np.abs(near - exact).max(axis=(1, 2)), np.abs(near_at - exact_at) / at])
+    assert np.all(np.array(away[1]) < 0.02 * np.array(away[0]) + 1e-12)
 
 
 @pytest.mark.slow

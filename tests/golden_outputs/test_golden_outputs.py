@@ -20,6 +20,7 @@ from tests.golden_outputs.outputs import FOG, GROUPS, commands, without_pictures
 
 GOLDEN = Path(__file__).parents[1] / "golden"
 STORED = Path(__file__).parent / "stored"
+SLOW = "pages", "files"
 EARLY = {
     f"analyze_{name}_{kind}.out": GOLDEN / f"{name}.{kind}"
     for name in ("single", "several", "quadrature", "channel", "turning", "acquired")
@@ -44,7 +45,7 @@ def check(told: dict[str, str]) -> list[str]:
 
 
 @pytest.mark.parametrize(
-    "group", [pytest.param(group, marks=pytest.mark.slow) if group == "pages" else group for group in GROUPS]
+    "group", [pytest.param(group, marks=pytest.mark.slow) if group in SLOW else group for group in GROUPS]
 )
 def test_what_is_printed_and_written_is_what_is_stored(group: str, tmp_path: Path) -> None:
     told = write_outputs(tmp_path, [group])

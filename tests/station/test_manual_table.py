@@ -102,6 +102,7 @@ def test_an_operator_leads_the_table_through_the_measurement(tmp_path: Path) -> 
     assert 0.02 < check["lock_in_rate_u_dps"] / 0.01 < 0.06
 
 
+@pytest.mark.slow
 def test_by_default_the_operator_is_asked_for_five_rates_in_both_senses(tmp_path: Path) -> None:
     led = led_by_an_operator(tmp_path, "records = 2\ntilt_records = 1")
     assert led.code == 0, led.said

@@ -100,6 +100,7 @@ def test_plan_with_the_table_as_reference(capsys: pytest.CaptureFixture[str]) ->
 SLOW = pytest.mark.slow
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", ["svg", *(pytest.param(kind, marks=SLOW) for kind in ("png", "pdf"))])
 def test_plan_draws(suffix: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = tmp_path / f"plan.{suffix}"

@@ -70,6 +70,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> SavedRun:
     return open_run(taken.path)
 
 
+@pytest.mark.slow
 def test_the_page_is_whole_and_stands_alone(run: SavedRun) -> None:
     page = Page()
     page.feed(render_report(evaluate_run(run)))
@@ -146,6 +147,7 @@ def _silenced(record):
     return record._replace(payload=bytes(len(record.payload)))
 
 
+@pytest.mark.slow
 def test_labels_have_room_and_a_name_without_end_stops_no_report() -> None:
     beyond: list[float] = []
 

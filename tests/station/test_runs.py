@@ -178,6 +178,7 @@ while True:
 """
 
 
+@pytest.mark.slow
 def test_a_run_that_is_read_where_it_is_written_is_not_folded_by_others(tmp_path: Path) -> None:
     """Another process looks at the run all the time; the journal stays with the one that writes to it."""
     command = [sys.executable, "-c", LOOKS]

@@ -67,6 +67,7 @@ def test_from_cable_to_number(tmp_path: Path) -> None:
     assert "--table manual" in said
 
 
+@pytest.mark.slow
 def test_what_is_there_is_not_written_over(tmp_path: Path) -> None:
     (tmp_path / "bench.toml").write_text("[gyro]\n")
     code, said = led(tmp_path, [], signals={1: beat})
@@ -74,6 +75,7 @@ def test_what_is_there_is_not_written_over(tmp_path: Path) -> None:
     assert (tmp_path / "bench.toml").read_text() == "[gyro]\n"
 
 
+@pytest.mark.slow
 def test_a_file_that_cannot_be_written_is_told_before_anybody_is_asked(tmp_path: Path) -> None:
     code, said = led(tmp_path, [], "--to", "nowhere/bench.toml", signals={1: beat})
     assert code == 2 and "cannot be written" in said and "channels" not in said
@@ -88,6 +90,7 @@ def test_without_a_terminal_it_is_refused(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_who_turns_the_table_is_an_option() -> None:
     """`--table` is a setting: the same as in a file, and told by its name where it is wrong."""
     run = [sys.executable, "-m", "station.cli", "measure", "--quiet", "--json", "--table"]

@@ -29,6 +29,7 @@ def test_study_writes_everything(tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert any("5 %" in text for text in document["conclusions"])
 
 
+@pytest.mark.slow
 def test_one_figure_only(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["study", "--figure", "2", "--json"]) == 0
     document = json.loads(capsys.readouterr().out)

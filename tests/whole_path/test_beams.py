@@ -38,6 +38,7 @@ def document(folder: Path) -> dict:
     return json.loads((folder / "measured.json").read_text())
 
 
+@pytest.mark.slow
 def test_beams_are_saved_with_their_beat_and_told(taken: Path) -> None:
     said = document(taken)
     run = open_run(taken / said["run"])

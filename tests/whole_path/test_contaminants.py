@@ -103,6 +103,7 @@ def test_distortion_and_imbalance_of_two_photodiodes(tmp_path: Path) -> None:
     assert found.distortion == pytest.approx((10 ** (-46 / 20),) * 2, abs=1e-3)
 
 
+@pytest.mark.slow
 def test_distortion_of_third_order(tmp_path: Path) -> None:
     level = 10 ** (-46 / 20)
     ratio = measured(tmp_path, {"third_harmonic_dbc": -46.0})

@@ -15,6 +15,7 @@ from station.runs.store import open_run
 FEW = "[sweep]\nrates_over_lock_in = [0.4, 0.7, 0.9, 1.1, 1.3, 1.6]\n"
 
 
+@pytest.mark.slow
 def test_one_command_gives_band_report_and_verdict(gyrolock, tmp_path: Path) -> None:
     (tmp_path / "my.toml").write_text(FEW + "[limits]\nlock_in_rate_dps = 0.012\nbias_rate_dps = 0.001\n")
     labels = ("--unit", "RLG 7", "--operator", "M. Chen", "--note", "after baking")

@@ -50,6 +50,7 @@ def taken(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_a_dithered_gyro_is_measured(taken: Path) -> None:
     said = json.loads((taken / "said.json").read_text())
     assert said["command"] == "dither"

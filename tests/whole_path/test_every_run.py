@@ -53,6 +53,7 @@ def test_report_and_analyze_take_every_kind(name: str, tmp_path: Path, capsys) -
     assert code == {"FAIL": 1, "MARGINAL": 6}.get(document["verdict"], 0)
 
 
+@pytest.mark.slow
 def test_several_runs_of_several_kinds_in_one_go(tmp_path: Path, capsys) -> None:
     runs = [str(saved(name, tmp_path)) for name in ("single", "fog_eps")]
     assert main(["analyze", *runs, "--json"]) == 0

@@ -50,6 +50,7 @@ def test_a_table_run_in_one_command(gyrolock, tmp_path: Path) -> None:
     assert again.document["axes"] == result["axes"]
 
 
+@pytest.mark.slow
 def test_a_self_calibration_says_what_it_cannot_see(gyrolock, tmp_path: Path) -> None:
     table = gyrolock("fog", "table", "--json", "--no-report").document["run"]
     (tmp_path / "warm.toml").write_text("[simulation]\nscale_change_ppm = 500.0\n")
@@ -212,6 +213,7 @@ def test_the_witness_in_one_command_and_again_from_its_files(gyrolock, tmp_path:
     assert "truth" not in again.document
 
 
+@pytest.mark.slow
 def test_the_witness_on_a_scope_that_somebody_else_serves(gyrolock, tmp_path: Path) -> None:
     def staircase(times):
         # a converter of 12 bits that spans 5.5 V, 331 codes down every 2.4 us, and nothing of the program in it

@@ -37,9 +37,9 @@ def read_like_a_stranger(resource: str) -> tuple[str, np.ndarray, float]:
     "where",
     [
         ("--tcp", "0"),
-        ("--hislip", "0"),
+        pytest.param(("--hislip", "0"), marks=pytest.mark.slow),
         pytest.param(("--pty",), marks=POSIX),
-        pytest.param(("--pty", "--baud", "19200"), marks=POSIX),
+        pytest.param(("--pty", "--baud", "19200"), marks=[POSIX, pytest.mark.slow]),
     ],
 )
 def test_a_plain_pyvisa_client_reads_the_beat(serve_scope, where: tuple[str, ...]) -> None:
@@ -55,6 +55,7 @@ def test_a_plain_pyvisa_client_reads_the_beat(serve_scope, where: tuple[str, ...
     assert frequency == pytest.approx(2000 * np.sqrt(0.08**2 - 0.01**2), rel=0.06)
 
 
+@pytest.mark.slow
 def test_several_scopes_on_other_signals_with_faults(serve_scope, tmp_path) -> None:
     times = 1e-5 * np.arange(1000)
     np.savetxt(tmp_path / "ramp.csv", np.column_stack([times, times / 1e-2]), delimiter=",", header="s,V")
@@ -105,6 +106,7 @@ def test_what_cannot_be_simulated_is_told(options, words, capsys) -> None:
     assert words in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_taken_port_is_told(gyrolock, serve_scope) -> None:
     port = serve_scope("--tcp", "0").resource.split("::")[2]
     done = gyrolock("simulate", "--tcp", port, "--json")

@@ -108,6 +108,7 @@ def test_words_put_in_have_the_noise_of_the_others():
     assert np.std(filled[gone]) == pytest.approx(np.std(values), rel=0.2)
 
 
+@pytest.mark.slow
 def test_ramp_and_temperature_are_no_noise():
     count = 20_000
     at = np.arange(count) * INTERVAL

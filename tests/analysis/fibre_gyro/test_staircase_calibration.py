@@ -75,7 +75,9 @@ def test_numbers_are_built_from_the_differences() -> None:
     assert scaled_numbers([-2.0], K, 0.5).number_u.tolist() == [1.0]
 
 
-@pytest.mark.parametrize(("white", "irreproducible"), [(1e-3, 0.0), (1e-9, 10e-6)])
+@pytest.mark.parametrize(
+    ("white", "irreproducible"), [pytest.param(1e-3, 0.0, marks=pytest.mark.slow), (1e-9, 10e-6)]
+)
 def test_numbers_scatter_as_their_uncertainty_says(white: float, irreproducible: float) -> None:
     """The base rate is in every difference: 1.11 deg/s holds it three times over."""
     rng = np.random.default_rng(7)

@@ -32,6 +32,7 @@ def bench(seed=5, **more):
     return Gyro(np.random.default_rng(seed), **{"noise": 0.002, **more})
 
 
+@pytest.mark.slow
 def test_one_fit_frees_the_rates_of_distortion():
     square = 0.004
     found = evaluate(whole_run(bench(square=square), SENSES), KNOWN, PLAIN)
@@ -56,6 +57,7 @@ def test_one_fit_frees_the_rates_of_distortion():
     )
 
 
+@pytest.mark.slow
 def test_what_is_common_to_the_rates_goes_through_the_fit_unchanged():
     stated = BenchKnowledge(scale_factor_u_ppm=100.0, distortion_limit=0.01, bandwidth=ResponseCorner(5000.0))
     known = replace(KNOWN, bench=stated)
@@ -106,6 +108,7 @@ def test_more_records_at_an_azimuth_do_not_tell_it_better():
     assert by_table(4) == pytest.approx(by_table(1), rel=0.1)
 
 
+@pytest.mark.slow
 def test_a_corner_that_is_stated_tells_the_fit_what_it_need_not_find():
     """The better the corner is known, the smaller the uncertainty of the fit, which holds it."""
     corner = 2000.0

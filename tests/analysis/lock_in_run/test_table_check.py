@@ -45,7 +45,9 @@ def wrong_by(error, **more):
     return replace(KNOWN, scale_factor=K * (1 + error), **more)
 
 
-@pytest.mark.parametrize("slow", [ONE, SEVERAL], ids=["one rate", "several rates"])
+@pytest.mark.parametrize(
+    "slow", [pytest.param(ONE, id="one rate"), pytest.param(SEVERAL, marks=pytest.mark.slow, id="several rates")]
+)
 def test_a_run_without_fault_lies_within_its_uncertainties(slow):
     beat, scale = [], []
     for seed in range(5):

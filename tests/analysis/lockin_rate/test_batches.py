@@ -7,7 +7,7 @@ import numpy as np
 from analysis import beat_signal, estimate_lock_in
 from analysis.waveform import fit
 
-K, INTERVAL, SAMPLES = 9000.0, 2e-5, 1250
+K, INTERVAL, SAMPLES = 9000.0, 2e-5, 800
 
 
 def records_of_every_kind() -> np.ndarray:
@@ -15,7 +15,7 @@ def records_of_every_kind() -> np.ndarray:
     rng = np.random.default_rng(14)
     times = np.arange(SAMPLES) * INTERVAL
     records = []
-    for number in range(60):
+    for number in range(45):
         ratio = rng.choice([0.01, 0.07, 0.3, 0.7, 0.97])
         rate = rng.uniform(0.02, 0.2)
         volts = beat_signal(
@@ -58,7 +58,7 @@ def test_a_record_gives_the_same_bits_alone_and_in_any_batch(monkeypatch):
     assert len(np.unique(together["flags"])) > 8  # records of many kinds, so that every branch has its say
     shuffled = np.random.default_rng(1).permutation(len(VOLTS))
     # and with more that move than are worked on together
-    for order, at_once, moving in ((np.arange(len(VOLTS)), 1, 256), (shuffled, 7, 256), (shuffled, 60, 3)):
+    for order, at_once, moving in ((np.arange(len(VOLTS)), 1, 256), (shuffled, 7, 256), (shuffled, 45, 3)):
         monkeypatch.setattr(fit, "MOVING_AT_ONCE", moving)
         apart = estimates(order, at_once)
         for name, values in together.items():

@@ -39,6 +39,7 @@ def has(estimate, flag):
     return (estimate.flags & int(flag)) != 0
 
 
+@pytest.mark.slow
 def test_the_uncertainty_holds_the_even_half_of_a_saturation_whose_odd_half_is_seen():
     k, volts, noise = records(40, 1)
     for drive in (0.5, 1.0):

@@ -89,7 +89,7 @@ SINGLE = {
     "gain": {"knowledge": bench(100.0, gain=ResponseCorner(300.0)), "rates_over_lock_in": (5.0,)},
 }
 
-SLOW = ("20 times",)
+SLOW = ("20 times", "distortion", "scatter", "few periods", "gain")
 
 
 @pytest.mark.parametrize("case", [pytest.param(c, marks=pytest.mark.slow) if c in SLOW else c for c in SINGLE])
@@ -102,6 +102,7 @@ def test_predictions_agree_with_simulation_within_10_percent(case: str) -> None:
     assert simulated.u == pytest.approx(plan.budget.combined_u, rel=0.10)
 
 
+@pytest.mark.slow
 def test_prediction_by_the_table_agrees_with_simulation() -> None:
     spread = TableGeometry(1.0, 20e-6, 88.693, 0.01, 28.2, 0.01)
     plan = plan_measurement(replace(REQUEST, reference="rate", table=spread, wanted_u=0.03))
@@ -129,9 +130,14 @@ def test_prediction_for_several_rates_agrees_with_their_fit(over: tuple[float, .
     assert rms_error(fits) == pytest.approx(plan.budget.relative_u, rel=0.4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("over", "both"),
-    [((8.0,), True), pytest.param((3.0, 30.0), False, marks=pytest.mark.slow), ((3.0, 9.5, 30.0), True)],
+    [
+        ((8.0,), True),
+        pytest.param((3.0, 30.0), False, marks=pytest.mark.slow),
+        pytest.param((3.0, 9.5, 30.0), True, marks=pytest.mark.slow),
+    ],
 )
 def test_of_a_bench_that_nobody_stated_a_plan_promises_what_its_fit_says(
     over: tuple[float, ...], both: bool

@@ -44,6 +44,7 @@ def test_coupling_that_the_beats_show_counts_with_its_size(phase_sum, reference)
     assert 0.5 * share < fit.lock_in_rate_u / WL < 0.85 * share + 0.002
 
 
+@pytest.mark.slow
 def test_four_beats_of_stated_uncertainty_rule_out_most_of_it():
     """Two rates in both senses leave one degree of freedom; that alone would make u three times the error."""
     fits = [fitted(0.0, rates=both_senses(3, 9.5), seed=seed) for seed in range(8)]
@@ -96,6 +97,7 @@ def test_slow_gain_is_no_wrong_scale_factor():
         assert not fit.flags & (RatesFlag.RATE_AND_BEAT_DISAGREE | RatesFlag.RECORDS_LEFT_OUT)
 
 
+@pytest.mark.slow
 def test_strong_coupling_near_the_threshold_counts_with_what_rates_and_beats_differ_by():
     """Equation (1) does not hold there: the answers with the two references are far apart."""
     near = {"rates": both_senses(1.2, 2, 4), "corner": 20 * K * WL}

@@ -10,6 +10,7 @@ RATES = (8, 15, 30, 60)
 FASTEST_BEAT = K * 60 * WL
 
 
+@pytest.mark.slow
 def test_a_receiver_of_minus_46_dbc_costs_less_than_half_a_percent():
     """1 % noise, 8 records of 2500 points a rate and sense; one record alone is wrong by 20 % at 30 WL."""
     rng = np.random.default_rng(1)

@@ -48,6 +48,7 @@ def test_a_stated_uncertainty_of_the_rates_counts_in_full_near_lock_in():
         assert fit.lock_in_rate_u == pytest.approx(0.01 * WL, rel=0.05)
 
 
+@pytest.mark.slow
 def test_rates_within_what_was_stated_of_them_are_neither_left_out_nor_flagged():
     multiples = both_senses(3, 5, 9, 17, 30)
     stated = 5e-3 * np.abs(WL * np.array(multiples))

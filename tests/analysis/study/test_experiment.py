@@ -16,6 +16,7 @@ def cause(found, name):
     return one
 
 
+@pytest.mark.slow
 def test_the_formula_is_off_by_its_known_bias(found):
     r = 2 - np.sqrt(3)  # of W = 2 WL
     assert cause(found, "formula").rms[0] == pytest.approx(1 - (1 + r**2) / np.sqrt(1 + 4 * r**2), rel=1e-12)

@@ -128,7 +128,7 @@ def test_in_coloured_noise(noise_of, periods_range):
     assert abs(found - 0.95) < 0.01 + chance(200)
 
 
-@pytest.mark.parametrize("ratio_over_u", [None, 1.0])
+@pytest.mark.parametrize("ratio_over_u", [None, pytest.param(1.0, marks=pytest.mark.slow)])
 def test_after_combining_ten_records(ratio_over_u):
     rng = np.random.default_rng(55)
     n_groups = 120

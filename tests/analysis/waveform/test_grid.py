@@ -61,6 +61,7 @@ def test_pooled_error_is_that_of_the_bound(grid):
     assert rms > np.sqrt(chi2.ppf(CHANCE, error.size) / error.size)  # better than the bound: the bound is wrong
 
 
+@pytest.mark.slow
 def test_pooled_bias_is_within_chance(grid):
     error = grid["error"][grid["significant"]]
     assert abs(error.mean()) < 3 / np.sqrt(error.size)

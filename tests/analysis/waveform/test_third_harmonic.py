@@ -42,6 +42,7 @@ def test_the_ratio_beside_a_third_harmonic_is_that_of_least_squares(ratio, third
     assert np.abs(found.complex_ratio - exact).max() < 0.06 * u
 
 
+@pytest.mark.slow
 def test_a_record_beside_a_third_harmonic_does_not_depend_on_the_others():
     rng = np.random.default_rng(3)
     times, records = np.arange(2500), []

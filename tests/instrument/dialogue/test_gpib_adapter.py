@@ -55,6 +55,7 @@ def test_an_instrument_that_another_program_has_put_behind_an_adapter(server):
     manager.close()
 
 
+@pytest.mark.slow
 def test_an_acquisition_that_takes_longer_than_the_adapter_listens(monkeypatch):
     monkeypatch.setattr("instrument.pyvisa_sessions.READ_TIME_MS", 200)
     monkeypatch.setattr("instrument.pyvisa_sessions.READ_AGAIN_S", 0.3)

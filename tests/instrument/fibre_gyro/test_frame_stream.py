@@ -155,6 +155,7 @@ def test_two_faults_before_the_next_header_can_leave_the_bytes_of_another_frame(
 COUNT = 5000
 
 
+@pytest.mark.slow
 def test_two_faults_before_the_next_header_pass_a_one_byte_sum_once_in_256():
     rng = np.random.default_rng(11)
     wrong = 0

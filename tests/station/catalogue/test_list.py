@@ -211,6 +211,7 @@ def test_the_command(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture
     assert float(rows[0]["result"]) == value
 
 
+@pytest.mark.slow
 def test_a_trend_shows_what_the_runs_were_judged_by(tmp_path: Path) -> None:
     def judged(size: float, u: float, limit: float | None) -> str:
         value = Value(size, "deg/s", size - 2 * u, size + 2 * u, u=u, quantity=LOCK_IN_RATE)

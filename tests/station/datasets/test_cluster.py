@@ -107,6 +107,7 @@ def divmod_by_zero(number: int) -> tuple[int, int]:
     return divmod(number, 0)
 
 
+@pytest.mark.slow
 def test_a_scheduler_that_is_not_there(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("station.sources.workers._PATIENCE_S", 1.0)
     with socket.create_server(("127.0.0.1", 0)) as listening:

@@ -17,6 +17,7 @@ def slowly(text: str) -> bytes | None:
     return bytes(written[cell] % 256 for cell in cells) if all(cell in written for cell in cells) else None
 
 
+@pytest.mark.slow
 @given(st.lists(CELL, min_size=1, max_size=8).map(",".join))
 def test_as_one_by_one(text: str) -> None:
     expected = slowly(text)

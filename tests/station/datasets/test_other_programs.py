@@ -63,6 +63,7 @@ def test_duckdb_chooses_and_takes_volts(exported: dict[str, str], single: tuple[
     assert [row[5] for row in rows] == [datetime.fromisoformat(one.taken_at) for one in slow]
 
 
+@pytest.mark.slow
 def test_polars_makes_an_array_of_the_codes(exported: dict[str, str], single: tuple[SavedRecord, ...]) -> None:
     polars = pytest.importorskip("polars", reason="polars is not installed")
     frame = polars.scan_parquet(exported["all.parquet"])

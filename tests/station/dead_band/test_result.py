@@ -26,6 +26,7 @@ def test_a_corner_rounded_by_noise_is_told(sweep: Sweep) -> None:
     assert evaluated.result.document["corner"]["random_walk_deg_per_sqrt_s"] is None
 
 
+@pytest.mark.slow
 def test_records_too_short_for_the_band_are_told(sweep: Sweep) -> None:
     """Of a gyro with 20 pulses a degree the slowest beat that is seen stands for 0.1 deg/s, ten lock-in rates."""
     evaluated = evaluate_run(sweep(), choices={"scale_factor": 20.0})
@@ -59,6 +60,7 @@ def test_labels_of_the_figure_do_not_overlap(sweep: Sweep) -> None:
     assert not any(a.overlaps(b) for i, a in enumerate(boxes) for b in boxes[:i])
 
 
+@pytest.mark.slow
 def test_the_report_shows_every_record(sweep: Sweep) -> None:
     evaluated = evaluate_run(sweep())
     *_, rates = sections(evaluated.found, evaluated.run, evaluated.settings, evaluated.result)

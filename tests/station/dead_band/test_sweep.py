@@ -74,6 +74,7 @@ def test_the_truth_lies_within_the_stated_uncertainty(sweep: Sweep, seed: int, l
     )
 
 
+@pytest.mark.slow
 def test_a_tilted_axis_is_turned_faster_and_freed_of_the_horizontal_earth_rate(sweep: Sweep) -> None:
     tilted = {"simulation": {"seed": 3, "link": "tcp", "tilt_deg": 5.0}, "table": {"tilt_deg": 5.0}}
     run = sweep(**tilted, sweep={"rates_over_lock_in": [0.3, 0.7, 1.1, 1.3, 1.6, 2.0]})
@@ -171,6 +172,7 @@ def test_hysteresis_is_found_told_and_paid_for(sweep: Sweep) -> None:
     assert any("below the rate at which it begins" in said for said in found.result.to_watch)
 
 
+@pytest.mark.slow
 def test_a_damaged_record_is_left_out_by_name(sweep: Sweep) -> None:
     run = sweep()
     first, *others = run.records
@@ -186,6 +188,7 @@ def only(run: SavedRun, beating: bool) -> SavedRun:
     return replace(run, records=tuple(kept))
 
 
+@pytest.mark.slow
 def test_without_an_edge_there_is_no_result(sweep: Sweep) -> None:
     with pytest.raises(NoUsableSignal, match="a beat at every rate of the sweep: take smaller"):
         evaluate_run(only(sweep(), True))

@@ -47,6 +47,7 @@ def test_white_noise_says_nothing(tmp_path: Path, seed: int) -> None:
     assert not said(tmp_path, lambda rng, white: white, seed)
 
 
+@pytest.mark.slow
 def test_noise_of_all_slow_terms_says_nothing(tmp_path: Path) -> None:
     assert not said(tmp_path, lambda rng, white: white + 2e-6 * np.cumsum(rng.standard_normal(SIZE)))
 

@@ -135,6 +135,7 @@ def taken(capsys: pytest.CaptureFixture[str], *arguments: object, code: int = 0)
     return json.loads(capsys.readouterr().out)
 
 
+@pytest.mark.slow
 def test_logs_with_an_overload(tmp_path, monkeypatch, capsys) -> None:
     monkeypatch.chdir(tmp_path)
     listed = write_logs(tmp_path, 97.0, lambda t: 5 * np.exp(-t / 2.0))
@@ -162,6 +163,7 @@ def test_limits_are_the_least_that_may_be(tmp_path, monkeypatch, capsys) -> None
         assert [one["limit"] for one in found["limits"]] == [least, 1.0]
 
 
+@pytest.mark.slow
 def test_bad_lists_and_the_axis(tmp_path, monkeypatch, capsys) -> None:
     monkeypatch.chdir(tmp_path)
     listed = write_logs(tmp_path, 97.0, lambda t: 0 * t)

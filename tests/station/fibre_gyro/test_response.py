@@ -42,7 +42,14 @@ def steps(
 
 
 @pytest.mark.parametrize("form", FORMS)
-@pytest.mark.parametrize(("corner", "delay"), [(9.0, 0.0), (25.0, 0.017), (3.0, 0.004)])
+@pytest.mark.parametrize(
+    ("corner", "delay"),
+    [
+        (9.0, 0.0),
+        pytest.param(25.0, 0.017, marks=pytest.mark.slow),
+        pytest.param(3.0, 0.004, marks=pytest.mark.slow),
+    ],
+)
 def test_steps_give_form_bandwidth_and_delay(form: str, corner: float, delay: float) -> None:
     words, train = steps(form, corner, delay, seed=2)
     words[[40, 41, 300]] = np.nan
@@ -55,6 +62,7 @@ def test_steps_give_form_bandwidth_and_delay(form: str, corner: float, delay: fl
     assert not np.isfinite(found.misfit) and found.settled
 
 
+@pytest.mark.slow
 def test_commands_that_take_their_way_do_not_widen_the_step() -> None:
     words, train = steps("first", 8.0, 0.05, seed=3, jitter_s=0.03, exact=False)
     found = step_response(words, 0.01, train)

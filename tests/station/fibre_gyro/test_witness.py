@@ -225,6 +225,7 @@ class InterruptedProgress(Progress):
             raise KeyboardInterrupt
 
 
+@pytest.mark.slow
 def test_a_run_cut_short_takes_the_records_that_are_missing_with_the_same_setting(fog_settings) -> None:
     settings = fog_settings(witness={"records": 4}, simulation={"half_wave_v": 3.1, "seed": 5})
     done = start_run(WITNESS, settings, InterruptedProgress(2))

@@ -116,6 +116,7 @@ def test_a_beat_that_moved_is_told_in_short(tmp_path: Path, share: float, state:
     assert float(percent) < 0.1 and known.standing.state == "stands"
 
 
+@pytest.mark.slow
 def test_a_truth_outside_the_interval_is_red(tmp_path: Path) -> None:
     # by a scale factor that is 0.5 % off
     one = evaluated(tmp_path, toml=DISTORTION_MEASURED, scale_factor=1990.0)

@@ -226,6 +226,7 @@ def test_views_come_as_events_and_go_on_from_where_a_reader_was(panel: dict[str,
     assert visitor.ask("GET", "/events?job=nonsense")[0] == 404
 
 
+@pytest.mark.slow
 def test_stop_and_go_on(panel: dict[str, str]) -> None:
     visitor = Visitor(panel["control"])
     visitor.post("/measure/measure", do="begin", **{**SHORT, "measurement.records": "400"})

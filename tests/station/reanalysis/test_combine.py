@@ -47,6 +47,7 @@ def combined(folder: Path, processes: int = 1, **wanted: object) -> AnalyzedFile
         return combine(sources, {"scale_factor": K}, workers, Progress(quiet=True), **wanted)
 
 
+@pytest.mark.slow
 def test_a_card_gives_one_result_with_budget_and_report(tmp_path: Path) -> None:
     found = combined(card(tmp_path, 0.3, 0.3, 0.3))
     document = found.document()

@@ -108,6 +108,7 @@ def contrast(one: str, other: str) -> float:
     return (light + 0.05) / (dark + 0.05)
 
 
+@pytest.mark.slow
 def test_samples_are_seen_under_the_fit(browser: Browser, pages: dict[str, Path], tmp_path: Path) -> None:
     browser.open(pages["report"], width=1200, height=900)
     browser.say("[...document.querySelectorAll('h2')].find(one => one.innerText === 'The beat').scrollIntoView()")
@@ -133,6 +134,7 @@ def test_it_prints_on_a4_with_its_parts_together(browser: Browser, pages: dict[s
     assert [text.strip().splitlines()[-1] for text in texts if text.strip().splitlines()[-1] in headings] == []
 
 
+@pytest.mark.slow
 def test_what_must_stay_together_fits_on_a_page(browser: Browser, pages: dict[str, Path]) -> None:
     """A part that may not be broken and is longer than a page is broken anywhere."""
     browser.open(pages["record"], width=688, media="print")  # A4 less margins of 14 mm, 96 pixels an inch

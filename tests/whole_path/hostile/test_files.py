@@ -43,6 +43,7 @@ def codes_and_errors(folder: Path, *lines: str) -> list[tuple[str, str]]:
     return list(zip(done.stdout.split(), errors, strict=True))
 
 
+@pytest.mark.slow
 def test_what_is_no_plain_file_is_refused_at_once(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe.csv")
     (tmp_path / "folder.csv").mkdir()

@@ -17,6 +17,7 @@ def beat(times: np.ndarray) -> np.ndarray:
     return beat_signal(times, scale_factor=2000, input_rate=0.08, lock_in_rate=0.01)
 
 
+@pytest.mark.slow
 def test_what_the_instrument_calls_itself(tmp_path: Path, gyrolock) -> None:
     identity = f"TEKTRONIX,TDS 2014,{MARKUP},CF:91.1CT {MARKUP}"
     with TcpServer(SimulatedTDS2014({1: beat}, identity=identity, seed=1)) as server:

@@ -65,7 +65,12 @@ def test_with_all_streams_closed_as_under_a_daemon_the_run_is_whole(tmp_path: Pa
 
 
 @pytest.mark.parametrize(
-    ("where", "said"), [(">/dev/full", "No space left"), (">&-", "closed"), ("> >(head -0)", "Broken pipe")]
+    ("where", "said"),
+    [
+        (">/dev/full", "No space left"),
+        pytest.param(">&-", "closed", marks=pytest.mark.slow),
+        pytest.param("> >(head -0)", "Broken pipe", marks=pytest.mark.slow),
+    ],
 )
 def test_a_result_that_cannot_be_written_is_told_by_the_exit_code(tmp_path: Path, where: str, said: str) -> None:
     done = run_shell(tmp_path, f"{COMMAND} analyze {SAVED} {where}")

@@ -35,7 +35,7 @@ def only_run(folder: Path) -> Path:
     [
         pytest.param("SIGINT", 130, "interrupted", marks=pytest.mark.slow),  # as in test_failures
         ("SIGTERM", 143, "terminated"),
-        ("SIGHUP", 129, "hung_up"),
+        pytest.param("SIGHUP", 129, "hung_up", marks=pytest.mark.slow),
     ],
 )
 def test_a_signal_ends_a_run_as_a_whole(tmp_path: Path, gyrolock, cut_gyrolock, name, code, kind) -> None:
@@ -117,6 +117,7 @@ sys.exit(main(sys.argv[1:]))
 """
 
 
+@pytest.mark.slow
 def test_a_second_signal_ends_at_once(tmp_path: Path) -> None:
     command = [sys.executable, "-c", HANGING, "measure", "--rates", "8", "--records", "1000"]
     with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL) as process:

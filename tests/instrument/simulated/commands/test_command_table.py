@@ -130,6 +130,7 @@ def test_factory_value_survives_a_round_trip(fresh, row):
     assert fresh.ask(f":{row.header}?") == f"{header} {value}"
 
 
+@pytest.mark.slow
 def test_setup_restores_itself_after_any_settings(make_bench):
     source = random.Random(4)
     for _ in range(25):

@@ -203,6 +203,7 @@ def test_short_pulses_are_seen_on_a_slow_sweep(make_bench):
     assert takes_a_record(bench)
 
 
+@pytest.mark.slow
 def test_video_trigger_without_video_finds_no_sync(make_bench):
     bench = make_bench({1: tone(1e3)}, noise_levels=0.0)
     bench.write("TRIG:MAIN:TYPE VIDEO;VIDEO:SYNC LINENUM;LINE 17;STANDARD PAL;POLARITY INVERT")

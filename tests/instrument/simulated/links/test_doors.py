@@ -18,6 +18,7 @@ def asked(link: socket.socket, question: bytes = b"*IDN?\n") -> bytes:
     return link.recv(4096)
 
 
+@pytest.mark.slow
 def test_a_line_without_an_end_is_not_kept_by_the_adapter() -> None:
     with (
         GpibAdapterServer(SimulatedTDS2014()) as server,

@@ -53,6 +53,7 @@ def test_without_a_record_of_switching_on_there_is_no_warm_up(taken) -> None:
     assert found["bias_repeatability_dph"] is not None
 
 
+@pytest.mark.slow
 def test_warm_up_of_the_scale_factor(taken) -> None:
     """100 ppm that die away with 100 s are within 10 ppm after 100 ln 10."""
     turning = {**FEW, "runs": 2, "turn_on_s": 600.0, "turn_on_rate_dps": 20.0, "warm_up_bound_ppm": 10.0}

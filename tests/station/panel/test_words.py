@@ -193,6 +193,21 @@ def test_why_there_is_no_result_is_put_into_every_language() -> None:
     assert_put(said)
 
 
+def test_what_is_noticed_of_beams_and_of_two_channels_is_put_into_every_language() -> None:
+    (messages,) = (tree for _, tree in parsed("station/lock_in/messages.py"))
+    tables = [node for node in messages.body if isinstance(node, ast.Assign) and isinstance(node.value, ast.Dict)]
+    named = {"_BEAMS_FLAGS", "_QUADRATURE_FLAGS"}
+    said = [
+        one
+        for node in tables
+        if isinstance(node.targets[0], ast.Name) and node.targets[0].id in named
+        for one in sentences(node.value)
+        if is_sentence(one)
+    ]
+    assert len(said) == 14
+    assert_put(said)
+
+
 def test_every_measurement_and_what_is_counted_has_a_name_in_every_language() -> None:
     counted = ("records", "tilt", "logs", "seconds of output", "lock-in rate", "ratio")
     for title in (*measurements().values(), *counted):

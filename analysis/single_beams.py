@@ -18,7 +18,6 @@ spoil them as its unknowns, each with a bound.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from enum import IntFlag
@@ -267,14 +266,17 @@ def _backscatter(part: Floats) -> Complexes:
 class LaserModel:
     """The model of some data; of several sets of parameters the last is solved, others must be beside it."""
 
-    def __init__(self, data: BeamsData) -> None:
+    def __init__(self, data: BeamsData, near: LaserFit | None = None) -> None:
         self.data, some = data, data.points.points
         steepest = float(np.max(np.abs(some.ratio)))
         turns = 1 if steepest < _STEEP else 2 if steepest < _STEEPER else 4
         self._sense = np.sign(some.rate)
-        self._values = np.zeros((some.rate.size, 2, (_FEWEST - 1) * turns + 1))
-        self._sagnac = self._sense * some.angular  # what was found last is where the next search begins
+        self.states = np.zeros((some.rate.size, 2, (_FEWEST - 1) * turns + 1))
+        self.sagnac = self._sense * some.angular  # what was found last is where the next search begins
         self.softer = 1.0  # times as much noise as there is
+        if near is not None:
+            near.push()  # leaves its states there
+            self.states, self.sagnac = near.model.states, near.model.sagnac
 
     def residual(self, parameters: Floats) -> Floats:
         """Everything in its standard uncertainties for parameters (B, N_PARAMETERS): (B, values)."""
@@ -328,7 +330,7 @@ class LaserModel:
 
     def _light(self, numbers: Floats) -> _Light:
         """Periodic solutions for the lasers (B P, 5) of all sets: each different one once."""
-        some, n = self.data.points.points, self._values.shape[-1]
+        some, n = self.data.points.points, self.states.shape[-1]
         place = np.tile(np.arange(some.rate.size), len(numbers) // some.rate.size)
         # most parameters leave the laser as it is
         _, which, back = np.unique(
@@ -336,9 +338,9 @@ class LaserModel:
         )
         lasers, at = numbers[which], place[which]
         last = numbers[-some.rate.size :]
-        values, sagnac, found = _by_degrees(last, self._sagnac, self._values, some.angular)
+        values, sagnac, found = _by_degrees(last, self.sagnac, self.states, some.angular)
         if found.all():
-            self._values, self._sagnac = values, sagnac
+            self.states, self.sagnac = values, sagnac
         if found.all() and len(lasers) > len(last):
             values, sagnac = states_beside(lasers, last, at, sagnac, values, some.angular)
         else:
@@ -404,8 +406,7 @@ def _by_degrees(lasers: Floats, sagnac: Floats, start: Floats, angular: Floats) 
 
 POSSIBLE = 9.0  # chi-square above the best up to which another solution is possible
 UNLIKELY = 0.001
-_HOPELESS = 100.0  # chi-square over the number of values, from which on no laser is near the records
-_GOOD = 2.0  # chi-square over the number of values, up to which a search is not begun at a much worse place
+_HOPELESS, _GOOD = 100.0, 2.0  # chi-square over the values: no laser is near; much worse places are left alone
 _SETTLED = 1e-9  # a step that changes chi-square by less, relatively, was the last one
 _TRIES, _EVALUATIONS = 10, 60  # steps of a first look, and of the search to the end
 _SMALL = 1e-6  # step of a parameter of which nothing is known
@@ -748,12 +749,10 @@ def _steps(data: BeamsData) -> Floats:
     return np.diag(np.where(np.isfinite(data.sd) & (data.sd > 0), 1e-4 * data.sd, _SMALL))
 
 
-def _solutions(data: BeamsData, starts: Iterable[Floats] | None = None) -> list[LaserFit]:
-    """The minima that are possible, the best first."""
-    model = LaserModel(data)
-    looked = [(start, 0.0) for start in starts] if starts is not None else _looked(model, _starts(data))
-    if not looked:
-        raise NoFit("no two-mode laser fits the records of beat and beams")
+def _solutions(data: BeamsData, near: LaserFit | None = None) -> list[LaserFit]:
+    """The minima that are possible, the best first; or that next to the one of more data."""
+    model = LaserModel(data, near)
+    looked = [(near.parameters, 0.0)] if near is not None else _looked(model)
     found: list[LaserFit] = []
     for start, cost in looked:
         if found and cost > looked[0][1] + 1e3 and found[0].chi_square < _GOOD * found[0].values:
@@ -765,6 +764,8 @@ def _solutions(data: BeamsData, starts: Iterable[Floats] | None = None) -> list[
         u = 1e-3 + 0.5 * np.sqrt(np.diagonal(one.covariance)[:4])
         if not any(np.all(np.abs(one.apart(other)) < u) for other in found):
             found.append(one)
+    if not found:
+        raise NoFit("no two-mode laser fits the records of beat and beams")
     found.sort(key=lambda one: one.chi_square)
     if found[0].chi_square > _HOPELESS * found[0].values:
         raise NoFit(
@@ -773,11 +774,11 @@ def _solutions(data: BeamsData, starts: Iterable[Floats] | None = None) -> list[
     return [one for one in found if one.chi_square < found[0].chi_square + POSSIBLE]
 
 
-def _looked(model: LaserModel, starts: Iterable[Floats]) -> list[tuple[Floats, float]]:
+def _looked(model: LaserModel) -> list[tuple[Floats, float]]:
     """Where some steps from each start lead, and chi-square there, the best first."""
     # with noise that becomes less what is known beforehand leads past narrow valleys
     ended = list[tuple[Floats, float]]()
-    for start in starts:
+    for start in _starts(model.data):
         end: tuple[Floats, float] | None = start, 0.0
         for model.softer in _SOFTER:
             end = end and _search(model, end[0], _TRIES)
@@ -876,7 +877,7 @@ def _routes(fit: RatesFit, data: BeamsData, best: LaserFit) -> tuple[Route, ...]
     routes = [Route("harmonics", *own)]
     by_beams = replace(data, harmonics=False, rate_weight=np.zeros_like(data.rate_weight))
     with suppress(NoFit):
-        one = _solutions(by_beams, best.parameters[np.newaxis])[0]
+        one = _solutions(by_beams, best)[0]
         routes.append(Route("beams", *(each / scale for each in one.coupling(1.0)[0])))
     if not data.rate_weight.any():
         return tuple(routes)

@@ -61,8 +61,9 @@ def largest_possible(found: RatioFit, data: RatioData) -> float:
 
 
 def up_to(found: RatioFit, most: float) -> RatioFit:
-    """The minima whose lock-in rate is not above `most`, deg/s."""
-    return found.take(np.hypot(found.parameters[:, 0], found.parameters[:, 1]) <= most)
+    """The minima whose lock-in rate is not above `most`, deg/s, and at least that of the least."""
+    sizes = np.hypot(found.parameters[:, 0], found.parameters[:, 1])
+    return found.take(sizes <= max(most, sizes.min()))
 
 
 _ANOTHER = 0.5  # standard uncertainties by which another solution differs at least

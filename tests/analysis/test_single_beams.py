@@ -356,6 +356,24 @@ def test_a_laser_that_stands_does_not_end_the_others(other, rate, angular):
     assert middle == pytest.approx(1.0, abs=0.05)
 
 
+@pytest.mark.parametrize(
+    ("ratio", "phase_sum", "corner", "slowest"),
+    [(0.495, 0.137, 20.0, 1.06), pytest.param(0.513, 1.073, 8.3, 1.03, marks=pytest.mark.slow)],
+)
+def test_close_to_lock_in_each_route_begins_where_all_have_ended(ratio, phase_sum, corner, slowest):
+    """From nothing no periodic solution is found there."""
+    rates = (slowest * WL, 2.3 * slowest * WL, -1.5 * slowest * WL)
+    fit = fit_beams(*measured(Bench(laser(ratio, phase_sum, corner)), rates, count=2), KNOWN)
+    assert [route.name for route in fit.routes] == ["harmonics", "beams", "frequencies"]
+    assert abs(fit.lock_in_rate - WL) < 3.3 * fit.lock_in_rate_u < 0.01 * WL
+
+
+def test_a_fit_keeps_the_least_of_lock_in_rates_that_are_all_too_large():
+    # strongly winking, and close to lock-in: no fit of the beat alone is near
+    alone, _ = measured(Bench(laser(2.09, 2.262, 10.5)), (1.1 * WL, 2.53 * WL, -1.65 * WL), count=2)
+    assert np.isfinite(alone.lock_in_rate)
+
+
 def test_lasers_beside_a_known_one_follow_by_one_step():
     """To second order in how far they are away, as lasers found by many steps say."""
     known, sagnac = laser(0.6, 1.0).numbers, 2 * np.pi * K * np.array([0.1])

@@ -395,8 +395,7 @@ def _by_degrees(lasers: Floats, sagnac: Floats, start: Floats, angular: Floats) 
             weaker = lasers[lost] * np.array([share, share, 1.0, 1.0, 1.0])
             some, then, there = periodic_states(weaker, then, some, angular[lost])
             some, then = np.where(there[:, np.newaxis, np.newaxis], some, 0.0), np.where(there, then, free)
-        found[lost] = there
-        values[lost], rates[lost] = some, then
+        values[lost], rates[lost], found[lost] = some, then, there
     return values, rates, found
 
 
@@ -411,8 +410,7 @@ _SETTLED = 1e-9  # a step that changes chi-square by less, relatively, was the l
 _TRIES, _EVALUATIONS = 10, 60  # steps of a first look, and of the search to the end
 _SMALL = 1e-6  # step of a parameter of which nothing is known
 _SOFTER = (1000.0, 100.0, 10.0)  # times the noise, in a first look
-_NO_LEVEL_U = 3.0  # of the logarithm of a level that nobody knows
-_FREED_U = 0.03  # of the push that is taken out of the beats, relative
+_NO_LEVEL_U, _FREED_U = 3.0, 0.03  # of the logarithm of an unknown level; of the push taken out of beats, relative
 
 
 @dataclass(frozen=True)
@@ -679,9 +677,6 @@ def _beforehand(
     return mean, sd
 
 
-Answer = tuple[float, float, float, float]  # value, standard uncertainty, ends of the 95 % interval
-
-
 @dataclass(frozen=True)
 class LaserFit:
     """One minimum of chi-square."""
@@ -713,8 +708,8 @@ class LaserFit:
         difference[1::2] = np.angle(np.exp(1j * difference[1::2]))
         return difference
 
-    def coupling(self, widen: float) -> tuple[Answer, tuple[float, float]]:
-        """|C| freed of the bias that noise gives to its size, rad/s, and the phase of C with its u."""
+    def coupling(self, widen: float) -> tuple[tuple[float, ...], tuple[float, float]]:
+        """|C| freed of the bias of its size, its u and 95 % interval (rad/s), and the phase of C with its u."""
         first, second = (complex(_backscatter(self.parameters[part])) for part in (FIRST, SECOND))
         both, whole = np.hstack([[[c.real, -c.imag], [c.imag, c.real]] for c in (first, second)]), first + second
         spread = both @ self.covariance[:4, :4] @ both.T * widen
@@ -722,7 +717,11 @@ class LaserFit:
         along, across = np.array([whole.real, whole.imag]) / size, np.array([-whole.imag, whole.real]) / size
         u, across_u = (math.sqrt(max(float(way @ spread @ way), 1e-300)) for way in (along, across))
         low, high = size_interval(size / u)
-        freed = math.sqrt(max(size**2 - across_u**2, 0.0))
+        # a phase that turns makes the angle uncertain, and the size none the larger
+        turns = BETWEEN + np.flatnonzero(np.diagonal(self.covariance)[BETWEEN:DRIFT] > 0)
+        shared = self.covariance[turns, :4] @ (across @ both)
+        by_turns = widen * float(shared @ np.linalg.solve(self.covariance[np.ix_(turns, turns)], shared))
+        freed = math.sqrt(max(size**2 - max(across_u**2 - by_turns, 0.0), 0.0))
         return (freed, u, float(low) * u, float(high) * u), (float(np.angle(whole)), across_u / size)
 
     def push(self) -> Floats:
@@ -739,8 +738,9 @@ class LaserFit:
             np.concatenate([self.parameters + steps, self.parameters[np.newaxis]])
         )[3]
         slopes = (np.array(moved) - sagnac) / np.diagonal(steps)[:, np.newaxis]
-        variance = np.einsum("ip,ij,jp->p", slopes, self.covariance, slopes) * widen
-        u = np.sqrt(np.maximum(variance, 0.0)) / (2 * np.pi)
+        u = np.sqrt(np.maximum(np.einsum("ip,ij,jp->p", slopes, self.covariance, slopes) * widen, 0.0)) / (
+            2 * np.pi
+        )
         return sagnac / (2 * np.pi), np.hypot(u, self.model.data.beat_u)  # what shifts the beat shifts it as much
 
 

@@ -368,6 +368,21 @@ def test_close_to_lock_in_each_route_begins_where_all_have_ended(ratio, phase_su
     assert abs(fit.lock_in_rate - WL) < 3.3 * fit.lock_in_rate_u < 0.01 * WL
 
 
+@pytest.mark.parametrize(
+    "rates",
+    [
+        (1.68, 17.0),
+        pytest.param((-1.7, -17.0), marks=pytest.mark.slow),
+        pytest.param((3, 30), marks=pytest.mark.slow),
+    ],
+)
+def test_a_phase_that_may_turn_makes_the_lock_in_rate_no_smaller(rates):
+    """With one record at each rate nothing shows whether it has: the size was freed of a bias that it has not."""
+    bench = Bench(laser(0.83, 1.335, 2.06, 0.56), noise=2.0)
+    fit = fit_beams(*measured(bench, tuple(WL * np.array(rates)), count=1), KNOWN)
+    assert abs(fit.lock_in_rate - WL) < 3.3 * fit.lock_in_rate_u < 0.07 * WL
+
+
 def test_a_fit_keeps_the_least_of_lock_in_rates_that_are_all_too_large():
     # strongly winking, and close to lock-in: no fit of the beat alone is near
     alone, _ = measured(Bench(laser(2.09, 2.262, 10.5)), (1.1 * WL, 2.53 * WL, -1.65 * WL), count=2)

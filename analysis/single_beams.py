@@ -275,7 +275,7 @@ class LaserModel:
         self.sagnac = self._sense * some.angular  # what was found last is where the next search begins
         self.softer = 1.0  # times as much noise as there is
         if near is not None:
-            near.push()  # leaves its states there
+            near.model.predicted(near.parameters[np.newaxis])  # leaves its states there
             self.states, self.sagnac = near.model.states, near.model.sagnac
 
     def residual(self, parameters: Floats) -> Floats:

@@ -260,15 +260,9 @@ def with_beams(fit: RatesFit, beams: BeamsFit) -> RatesFit:
 
 
 _OF_BEAMS = {
-    *(
-        "lock_in_rate",
-        "lock_in_rate_u",
-        "lock_in_rate_low_95",
-        "lock_in_rate_high_95",
-        "distortion",
-        "distortion_u",
-    ),
-    *("backscatter_phase", "backscatter_phase_u", "chi_square", "degrees_of_freedom", "p_value"),
+    *("lock_in_rate", "lock_in_rate_u", "lock_in_rate_low_95", "lock_in_rate_high_95"),
+    *("distortion", "distortion_u", "backscatter_phase", "backscatter_phase_u"),
+    *("chi_square", "degrees_of_freedom", "p_value"),
 }
 _SETTLED = int(
     RatesFlag.NOT_SIGNIFICANT

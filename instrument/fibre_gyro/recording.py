@@ -172,6 +172,7 @@ class RecordBuilder:
             for gap in self._gaps
         )
         missing = sum(gap.missing for gap in gaps)
+        by_frames = "counter" if self._layout.has_counter else "frames"
         return Recording(
             times=np.array(self._places, dtype=np.float64) * step,
             counts=counts,
@@ -183,11 +184,7 @@ class RecordBuilder:
                 len(self._rows), missing, self._damaged, self._unusable, discarded_bytes, dict(self._reasons)
             ),
             interval_s=step,
-            clock="polls"
-            if self._layout.poll is not None
-            else "counter"
-            if self._layout.has_counter
-            else "frames",
+            clock="polls" if self._layout.poll is not None else by_frames,
             host_clock=clock,
             doubts=doubts_about(self._layout, self._rows),
         )

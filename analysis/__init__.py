@@ -8,6 +8,7 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from analysis.beam_modulation import BeamModulation, beam_modulation
     from analysis.channel import ChannelResponse, correct_response
     from analysis.combine import combine_estimates
     from analysis.dead_band import DeadBand, find_dead_band, simulate_sweep
@@ -35,7 +36,7 @@ if TYPE_CHECKING:
     from analysis.quadratures import QuadratureEstimate, QuadratureFlag, estimate_quadratures
     from analysis.rotation import EARTH_RATE_DPS, TiltFit, earth_rate_on_axis, rate_on_axis, tilt_from_fast_runs
     from analysis.several_rates import RatesFit, RatesFlag, fit_rate_ratios, fit_rates
-    from analysis.single_beams import BeamModulation, BeamsFit, BeamsKnowledge, beam_modulation, fit_beams
+    from analysis.single_beams import BeamsFit, BeamsKnowledge, fit_beams
 
 __all__ = [  # noqa: RUF022 - in the order of the work, not of the alphabet
     # make a beat, and what the lock-in equation says of it
@@ -127,7 +128,8 @@ _HOMES = {
         "tilt_from_fast_runs",
     ),
     "analysis.several_rates": ("RatesFit", "RatesFlag", "fit_rate_ratios", "fit_rates"),
-    "analysis.single_beams": ("BeamModulation", "BeamsFit", "BeamsKnowledge", "beam_modulation", "fit_beams"),
+    "analysis.beam_modulation": ("BeamModulation", "beam_modulation"),
+    "analysis.single_beams": ("BeamsFit", "BeamsKnowledge", "fit_beams"),
 }
 
 

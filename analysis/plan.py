@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from analysis.arrays import Complexes, Floats
+from analysis.beam_modulation import BeamModulation
 from analysis.budget import (
     BenchKnowledge,
     Budget,
@@ -30,7 +31,6 @@ from analysis.single_beams import (
     GAIN,
     SATURATION,
     SECOND,
-    BeamModulation,
     BeamsData,
     BeamsKnowledge,
     LaserFit,

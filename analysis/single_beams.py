@@ -20,157 +20,20 @@ from __future__ import annotations
 import math
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from enum import IntFlag
 from typing import Literal
 
 import numpy as np
 import scipy.special
-from numpy.typing import ArrayLike
 
-from analysis.arrays import NORMAL_95, Bools, Complexes, Floats, Indices, NoFit, Stacked
+from analysis.arrays import NORMAL_95, Bools, Complexes, Floats, Indices, NoFit
+from analysis.beam_modulation import BeamModulation, BeamsFlag
 from analysis.budget import SCALE_FACTOR_LIMIT, TABLE_RATE_LIMIT, BenchKnowledge, lowest_bandwidth
 from analysis.frequency_method import fit_frequencies
-from analysis.harmonics import fit_free_harmonics
 from analysis.lockin_rate import size_interval
 from analysis.ring_laser.two_mode_laser import beat_phase, periodic_states, states_beside
 from analysis.several_rates import RatesFit, prior_of
 from analysis.several_rates.points import Points, gather, with_noise
 from analysis.several_rates.ratio_model import SENSES, RatioData, in_standard_uncertainties, nearest_series
-
-# --------------------
-# One record: how far each beam swings with the beat, and with which phase
-
-
-HARMONICS = 8  # that are fitted at once: those left out would leak into the fundamental
-_FADED = 0.7  # share of a signal's power that stands in its lines; less where the rate moves much
-_LARGEST = 0.5  # AC over DC of a channel that shows the fringes rather than a beam
-
-
-class BeamsFlag(IntFlag):
-    """Bits of `BeamsFit.flags`; the lower-case name is the one used in JSON."""
-
-    CLIPPED = 1
-    """A beam reaches the end of the converter's range in most records: it is not used."""
-    DARK = 2
-    """A beam's channel shows no light, or no swing at the beat."""
-    SHOWS_THE_BEAT = 4
-    """A beam's channel swings like the beat itself: another photodiode is connected to it."""
-    NO_LEVEL = 8
-    """Nobody stated the DC level of a beam: only the phase of its swing counts."""
-    RECORDS_LEFT_OUT = 16
-    """In some records the rate moves too much for the swing of the beams."""
-    MISFIT = 32
-    """Beat and beams do not fit one laser within their noise; the uncertainty is enlarged."""
-    ROUTES_DIFFER = 64
-    """Harmonics, beams, frequencies and dead band give different lock-in rates."""
-    SEVERAL_SOLUTIONS = 128
-    """Another lock-in rate explains the records as well; the interval holds all."""
-    NOT_SIGNIFICANT = 256
-    """The lock-in rate does not stand out of its uncertainty."""
-
-
-@dataclass(frozen=True)
-class BeamModulation(Stacked):
-    """Swing of the single beams at the beat frequency, of n records of two beams; nan where there is none.
-
-    modulation : (n, 2) complex, AC over DC, its phase against that of the beat's fundamental
-    modulation_u : (n, 2) standard uncertainty of its real and of its imaginary part
-    beat_over_level : (n, 2) amplitude of the beat in volts over the DC level of the beam
-    flags : bits of `BeamsFlag`, of both beams
-    """
-
-    modulation: Complexes
-    modulation_u: Floats
-    beat_over_level: Floats
-    flags: int
-
-
-def beam_modulation(
-    beat: ArrayLike,
-    beams: ArrayLike,
-    sample_interval: float,
-    *,
-    beat_frequency: ArrayLike,
-    level: ArrayLike,
-    clipped: ArrayLike | None = None,
-    ac_corner_hz: float = 0.0,
-) -> BeamModulation:
-    """Modulation of the single beams against the phase of the beat, by least squares at its frequency.
-
-    Parameters
-    ----------
-    beat : (n, n_samples)
-        Volts of the photodiode that sees the fringes.
-    beams : (n_beams, n, n_samples)
-        Volts of the photodiodes of one beam, or of both, sampled at the same instants.
-    sample_interval : float
-        Seconds.
-    beat_frequency : (n,)
-        Hz, as `estimate_lock_in` found it; nan for a record without a beat.
-    level : (n_beams,)
-        DC level of each beam, V; nan where nobody knows it. Then the size of a modulation has no meaning.
-    clipped : (n_beams, n, n_samples) of bool, optional
-    ac_corner_hz : float
-        Corner of an AC coupling in front of the beams' channels, whose effect is taken out.
-
-    Raises
-    ------
-    ValueError
-        Channels of different length, or more beams than two.
-    """
-    whole, single = np.asarray(beat, dtype=np.float64), np.asarray(beams, dtype=np.float64)
-    if single.ndim != 3 or not 1 <= len(single) <= 2 or single.shape[1:] != whole.shape:
-        raise ValueError(f"beams must have shape (1 or 2, {whole.shape[0]}, {whole.shape[1]}), not {single.shape}")
-    frequency = np.asarray(beat_frequency, dtype=np.float64)
-    swing = np.full((len(whole), 2), np.nan, dtype=np.complex128)
-    swing_u, over = np.full(swing.shape, np.nan), np.full(swing.shape, np.nan)
-    beating = np.flatnonzero(frequency > 0)
-    first, first_u, in_lines = _line(whole[beating], frequency[beating], sample_interval)
-    steady = in_lines > _FADED
-    rows, first, first_u = beating[steady], first[steady], first_u[steady]
-    flags = 0 if steady.all() else int(BeamsFlag.RECORDS_LEFT_OUT)
-    turn = (1 - 1j * ac_corner_hz / frequency[rows]) * np.abs(first) / first
-    for number, volts in enumerate(single):
-        cut = np.zeros(rows.size, bool) if clipped is None else np.any(np.asarray(clipped)[number][rows], axis=-1)
-        line, line_u, _ = _line(volts[rows], frequency[rows], sample_interval)
-        dc = float(np.broadcast_to(level, len(single))[number])
-        if (problem := _problem(line, line_u, dc, cut)) is not None:
-            flags |= int(problem)
-            continue
-        if math.isnan(dc):
-            flags, dc = flags | int(BeamsFlag.NO_LEVEL), 1.0  # a modulation in volts, the same for all rates
-        kept = rows[~cut]
-        swing[kept, number] = (line * turn / dc)[~cut]
-        # the phase of the beat is in it too
-        relative_u = np.hypot(line_u, np.abs(line) * first_u / np.abs(first))
-        swing_u[kept, number] = (relative_u * np.abs(turn) / dc)[~cut]
-        over[kept, number] = (np.abs(first) / dc)[~cut]
-    return BeamModulation(swing, swing_u, over, flags)
-
-
-def _problem(line: Complexes, line_u: Floats, level: float, cut: Bools) -> BeamsFlag | None:
-    """Why a beam's channel cannot be used; ``None`` if it can."""
-    if 2 * cut.sum() > cut.size:
-        return BeamsFlag.CLIPPED
-    if level <= 0 or not np.any(np.abs(line) > 3 * line_u):
-        return BeamsFlag.DARK
-    return BeamsFlag.SHOWS_THE_BEAT if np.median(np.abs(line)) > _LARGEST * level else None
-
-
-def _line(volts: Floats, frequency: Floats, sample_interval: float) -> tuple[Complexes, Floats, Floats]:
-    """Complex amplitude of the fundamental (n,), its u for each part, and the share of the power in all lines."""
-    if not volts.size:
-        return np.zeros(0, dtype=np.complex128), np.zeros(0), np.zeros(0)
-    there = np.isfinite(volts)
-    weights, count = None if there.all() else there.astype(np.float64), there.sum(axis=-1)
-    centred = np.where(there, volts - np.nanmean(volts, axis=-1, keepdims=True), 0.0)
-    harmonics = int(np.clip(0.45 / (np.max(frequency) * sample_interval), 1, HARMONICS))
-    omega = 2 * np.pi * sample_interval * frequency
-    _, _, lines, step = fit_free_harmonics(centred, weights, omega, harmonics, iterations=1)
-    noise = np.sqrt(step.residual_power / np.maximum(count - 2 * harmonics - 2, 1))
-    power = np.maximum(np.sum(centred**2, axis=-1), 1e-300)
-    return lines[:, 0], noise * np.sqrt(2 / count), np.sum(np.abs(lines) ** 2, axis=-1) / (2 * power / count)
-
 
 # --------------------
 # What is fitted, and what is known of it beforehand
@@ -410,6 +273,9 @@ _SETTLED = 1e-9  # a step that changes chi-square by less, relatively, was the l
 _TRIES, _EVALUATIONS = 10, 60  # steps of a first look, and of the search to the end
 _SMALL = 1e-6  # step of a parameter of which nothing is known
 _SOFTER = (1000.0, 100.0, 10.0)  # times the noise, in a first look
+    0.05,
+    np.array([-1.5, -0.5, 0.5, 1.5]),
+)  # u of a turn that records show, turns that are tried: of its sd
 _NO_LEVEL_U, _FREED_U = 3.0, 0.03  # of the logarithm of an unknown level; of the push taken out of beats, relative
 
 

@@ -27,6 +27,7 @@ from scipy.integrate import solve_ivp
 
 from analysis import estimate_lock_in, fit_rates
 from analysis.arrays import Complexes, Floats, NoFit
+from analysis.beam_modulation import BeamModulation, BeamsFlag, beam_modulation
 from analysis.budget import (
     LOCK_IN_DRIFT_LIMIT,
     PHASE_CHANGE_LIMIT,
@@ -36,7 +37,7 @@ from analysis.budget import (
     THIRD_ORDER_LIMIT,
     lowest_bandwidth,
 )
-from analysis.single_beams import BeamModulation, BeamsFlag, BeamsKnowledge, beam_modulation, fit_beams
+from analysis.single_beams import BeamsKnowledge, fit_beams
 
 K, WL, SAMPLES, PERIODS, RECORDS = 2000.0, 0.01, 2500, 20, 4
 CROSSTALK, LEVEL_U, AC_HZ, AC_SPREAD, NOISE, FILL, EARTH = 0.01, 0.01, 10.0, 0.2, 0.6, 90, 0.004

@@ -27,12 +27,12 @@ from benchmarks.links.recording_scope import RecordingScope
 from instrument import TDS2014, InstrumentError, LinkError, Preamble, Tally, Waveform
 from instrument.simulated import Fault, Faults, SimulatedTDS2014, TcpServer, VirtualClock, resource_manager
 from instrument.simulated.faults import FaultKind
+from station.live.events import Progress
 from station.lock_in.served import at_slow_rate
 from station.lock_in.settings import default_settings
 from station.measurements import measurement
 from station.ring_laser.instruments import build_instruments
 from station.runs.database import TAKEN
-from station.runs.progress import Progress
 from station.runs.store import open_run
 from station.shell.finish import start_run
 

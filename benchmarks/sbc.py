@@ -29,6 +29,7 @@ import scipy.special
 import scipy.stats
 
 from analysis.arrays import Complexes, Floats
+from analysis.beam_modulation import BeamsFlag
 from analysis.budget import (
     LOCK_IN_DRIFT_LIMIT,
     PHASE_CHANGE_LIMIT,
@@ -44,7 +45,6 @@ from analysis.flags import DOUBTFUL
 from analysis.lock_in_run import AxisRates, Batch, Method, RecordArrays, RunArrays, RunKnowledge, evaluate
 from analysis.plan import default_rates, off_mains, run_order
 from analysis.ring_laser import Detector, Gyro, Winking, detector_signal
-from analysis.single_beams import BeamsFlag
 from benchmarks import beams
 
 K, WL, SAMPLES, PERIODS, HUM_HZ = 2000.0, 0.01, 2500, 20.3, 50.0

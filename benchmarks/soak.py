@@ -35,6 +35,7 @@ from instrument.simulated.faults import FaultKind
 from station.cli import main as gyrolock
 from station.errors import EXIT_FAIL, EXIT_OK
 from station.files import given_back
+from station.live.events import Progress
 from station.lock_in.served import at_slow_rate
 from station.lock_in.settings import Settings, default_settings
 from station.lock_in.take import take_on
@@ -42,7 +43,6 @@ from station.ring_laser.instruments import build_instruments
 from station.ring_laser.records import Bench
 from station.runs.acquisition import Acquisition, Taken, facts_of, take
 from station.runs.database import TAKEN
-from station.runs.progress import Progress
 from station.runs.store import SavedRun, open_run
 
 RECORDS, DAYS = 100_000, 30

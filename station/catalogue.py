@@ -25,13 +25,13 @@ from typing import TYPE_CHECKING, Any
 from analysis.arrays import NORMAL_95
 from station.errors import NoUsableSignal, RunError, UsageError
 from station.files import inert
+from station.live.events import Progress
 from station.measurements import MEASUREMENTS, measurement
 from station.report.figure import ACCENT, INK, SECOND, THIRD, legend_above, write_picture
 from station.results.quantity import Value, headline_values
 from station.results.result import TextTable
 from station.runs.annotations import Remarks, read_remarks, remarks_file
 from station.runs.database import COMPLETE, TAKEN, RunFacts, journal_of, read_facts, reading
-from station.runs.progress import Progress
 from station.sources.find import first_time
 
 if TYPE_CHECKING:

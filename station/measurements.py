@@ -12,10 +12,10 @@ from station.results.quantity import Quantities, limit_names
 from station.settings import SettingsSection
 
 if TYPE_CHECKING:
+    from station.live.events import Progress
     from station.live.preview import See
     from station.results.result import Check, FactTable, Result, Section
     from station.runs.acquisition import Acquisition
-    from station.runs.progress import Progress
     from station.runs.store import SavedRun
     from station.settings import SettingsKind
     from station.sources.workers import Workers

@@ -29,9 +29,9 @@ from analysis.study import (
     rate_study,
     waveform_study,
 )
+from station.live.events import Progress
 from station.report.figure import ACCENT, INK, SECOND, SOFT, THIRD, legend_above, write_picture
 from station.results.numbers import BEAT_FREQUENCY, INPUT_RATE, LOCK_IN_RATE, SCALE_FACTOR
-from station.runs.progress import Progress
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -5,7 +5,7 @@ For tests of what has nothing to do with it: fewer records, and the truth lies w
 
 from typing import Any
 
-from station.runs.progress import Progress
+from station.live.events import Progress
 
 CLEAN: dict[str, float] = {
     "second_harmonic_dbc": -200.0,

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from analysis.arrays import NORMAL_95, Complexes, Floats, Indices, NoFit, OneRateOnly, OutsideResponse
+from analysis.beam_modulation import BeamsFlag
 from analysis.budget import (
     CORNERS,
     BenchKnowledge,
@@ -61,7 +62,7 @@ from analysis.lockin_rate import LockInEstimate, size_interval
 from analysis.quadratures import QuadratureEstimate, QuadratureFlag, estimate_quadratures
 from analysis.rotation import earth_rate_on_axis
 from analysis.several_rates import COUNTED, Model, RatesFit, RatesFlag, Reference, fit_again, fit_rates, prior_of
-from analysis.single_beams import BeamsFit, BeamsFlag, fit_beams
+from analysis.single_beams import BeamsFit, fit_beams
 
 CANCEL_IN_THE_CHECK = ("noise", "scale_factor", "time_base")
 """Inputs of the budget that the check by the table has counted already, or that the tilt absorbs in it."""

@@ -8,6 +8,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from analysis.arrays import Bools, Floats, Indices, Ints
+from analysis.beam_modulation import BeamModulation
 from analysis.budget import (
     LOWEST_GAIN_CORNER_HZ,
     SCALE_FACTOR_LIMIT,
@@ -21,7 +22,7 @@ from analysis.flags import FATAL, Flag
 from analysis.harmonics import fit_free_harmonics
 from analysis.lockin_equation import Relation
 from analysis.lockin_rate import LockInEstimate, estimate_lock_in, noise_model, with_ratio
-from analysis.single_beams import BeamModulation, BeamsKnowledge
+from analysis.single_beams import BeamsKnowledge
 
 _RECORDS_AT_ONCE = 1000  # 20 MB of samples
 

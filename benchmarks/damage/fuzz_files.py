@@ -37,11 +37,11 @@ from instrument import Preamble, Waveform, read_waveform
 from instrument.fibre_gyro import read_gyro_log
 from station import cli
 from station.errors import describe_failure
+from station.live.events import Progress
 from station.measurements import MEASUREMENTS, measurement
 from station.reanalysis.combine import analyze_file
 from station.report.show import render_report
 from station.runs.database import save_result
-from station.runs.progress import Progress
 from station.runs.store import open_run
 from station.settings import load, shipped_settings
 from station.shell.finish import evaluate_run, start_run

@@ -24,8 +24,8 @@ from numpy.typing import NDArray
 
 from benchmarks.fibre_gyro.independent_gyro import flicker
 from station.fibre_gyro.settings import load_fog_settings
+from station.live.events import Progress
 from station.measurements import measurement
-from station.runs.progress import Progress
 from station.runs.store import open_run
 from station.shell.finish import evaluate_run, start_run
 

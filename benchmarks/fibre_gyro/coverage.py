@@ -26,8 +26,8 @@ import numpy as np
 from benchmarks.fibre_gyro.independent_gyro import LATITUDE, VERTICAL, Bench, Gyro, K, at_rest
 from benchmarks.fibre_gyro.over_serial import serial_case
 from station.fibre_gyro.settings import load_fog_settings
+from station.live.events import Progress
 from station.measurements import measurement
-from station.runs.progress import Progress
 from station.runs.store import open_run
 from station.shell.finish import evaluate_run, start_run
 

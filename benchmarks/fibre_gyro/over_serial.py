@@ -23,8 +23,8 @@ from station.fibre_gyro.bench import SerialFogBench
 from station.fibre_gyro.segments import take_segments
 from station.fibre_gyro.selfcal import numbers_for
 from station.fibre_gyro.settings import load_fog_settings
+from station.live.events import Progress
 from station.runs.acquisition import Acquisition, facts_of, take
-from station.runs.progress import Progress
 from station.runs.store import open_run
 from station.settings import shipped_settings
 from station.shell.finish import evaluate_run

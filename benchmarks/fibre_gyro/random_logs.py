@@ -19,7 +19,7 @@ import numpy as np
 
 from instrument import FileFormatError
 from instrument.fibre_gyro import LogChoices, read_log
-from station.runs.progress import Progress
+from station.live.events import Progress
 
 LONGEST = 5.0  # s of work that one log may take
 HEADERS = ("time", "t [s]", "time_ms", "timestamp", "date", "counter", "n", "")

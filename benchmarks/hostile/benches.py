@@ -19,9 +19,9 @@ from typing import Any
 import numpy as np
 
 from station.errors import StationError
+from station.live.events import Progress
 from station.lock_in.measurement import MEASUREMENT
 from station.lock_in.settings import load_settings
-from station.runs.progress import Progress
 from station.runs.store import open_run
 from station.shell.finish import evaluate_run, start_run
 

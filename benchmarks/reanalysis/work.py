@@ -76,9 +76,9 @@ def _analysis(mode: str, folder: Path, processes: int) -> tuple[float, float, fl
     import station.lock_in.measurement  # noqa: F401
     import station.reanalysis.parquet_table  # noqa: F401
     from analysis import estimate_lock_in
+    from station.live.events import Progress
     from station.reanalysis.analyze_table import fill_table
     from station.reanalysis.combine import combine
-    from station.runs.progress import Progress
     from station.shell.finish import evaluate_saved
     from station.sources.find import find_sources
     from station.sources.workers import Processes

@@ -16,10 +16,10 @@ from instrument.pyvisa_sessions import meant_by
 from station.campaign.journal import CampaignPlan, InstrumentCard, PlannedStep, read_journal, tests_of
 from station.controllers import ControllerSettings, ControllersSettings, open_chamber_or_supply
 from station.errors import RunError
+from station.live.events import Progress
 from station.measurements import measurement
 from station.results.result import Check
 from station.results.verdict import limit_words
-from station.runs.progress import Progress
 
 CONTROLLER_OF = {"temperature_degc": ("chamber", "temperature"), "voltage_v": ("power_supply", "voltage")}
 """Condition of a step, the controller that brings it about, and the quantity of its template."""

@@ -35,11 +35,11 @@ from station.errors import (
     describe_failure,
     one_line,
 )
+from station.live.events import Progress
 from station.measurements import measurement, steps_by_name
 from station.results.verdict import ABORTED, ERROR, FAIL, judged, worst
 from station.runs.acquisition import Taken
 from station.runs.database import utc_now
-from station.runs.progress import Progress
 from station.runs.signals import disturbed, undisturbed
 from station.runs.store import RUN_FILE, open_run
 from station.settings import saved_settings
@@ -168,7 +168,7 @@ class _Conducting:
         title = measurement(step.measurement).title
         events.emit("step_begun", step=step.key, number=number, of=of, measurement=step.measurement, title=title)
         journal.write("step_begun", key=step.key)
-        clock = time.monotonic()
+        clock, given = time.monotonic(), {"unit": self.plan.unit, "operator": self.operator, "note": self.note}
         begun, attempts = utc_now(), 0
         if self.before is not None and (before := self.before.begun.get(step.key)):  # it has a first part
             last = self.before.steps.get(step.key)
@@ -181,7 +181,7 @@ class _Conducting:
                 self.progress,
                 surroundings,
                 wait,
-                labels=self._labels(),
+                labels={name: text for name, text in given.items() if text},
                 warm_up_s=warm_up_s,
                 started_at=begun,
                 evaluated=self.evaluated,
@@ -206,10 +206,6 @@ class _Conducting:
             journal.write("step_ended", **step_as_json(outcome, journal.directory))
         ended = {"verdict": outcome.verdict, "run": outcome.run, "message": outcome.message}
         events.emit("step_ended", step=step.key, number=number, **ended)
-
-    def _labels(self) -> dict[str, str]:
-        given = {"unit": self.plan.unit, "operator": self.operator, "note": self.note}
-        return {name: text for name, text in given.items() if text}
 
     def _outcome(self, journal: Journal, began: str, failure: Failure | None) -> CampaignOutcome:
         resumed: tuple[str, ...] = ()

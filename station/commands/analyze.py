@@ -38,8 +38,8 @@ if TYPE_CHECKING:
     from contextlib import AbstractContextManager
 
     from station.errors import Failure
+    from station.live.events import Progress
     from station.reanalysis.combine import AnalyzedFiles
-    from station.runs.progress import Progress
     from station.shell.finish import Evaluated
     from station.sources.batches import Source
     from station.sources.workers import Workers

@@ -204,11 +204,11 @@ def _disk(settings: Settings) -> Check:
 
 def _test_record() -> Check:
     """Send one record of the simulated scope through a real link, the store and the analysis."""
+    from station.live.events import Progress
     from station.lock_in.evaluate import evaluate_records
     from station.lock_in.served import at_slow_rate
     from station.ring_laser.bench import open_bench
     from station.ring_laser.records import acquisition_records, take_record
-    from station.runs.progress import Progress
     from station.runs.store import RunWriter, open_run
     from station.sources.workers import ThisProcess
 

@@ -21,8 +21,8 @@ from station.shell.options import (
 from station.terminal import print_failure, print_json, remark, say
 
 if TYPE_CHECKING:
+    from station.live.events import Progress
     from station.report.show import Shown
-    from station.runs.progress import Progress
     from station.sources import ExcludedRecord, Source
 
 
@@ -115,8 +115,8 @@ def _evaluated(
     sources: list[Path | Source], name: str, config: Path | None, choices: dict[str, Any], channel: str | None
 ) -> tuple[Shown, Path]:
     """What a report shows, and where it goes."""
+    from station.live.events import Progress
     from station.reanalysis.combine import combine, said_of, scale_factor_of_files
-    from station.runs.progress import Progress
     from station.runs.store import REPORT_FILE
     from station.shell.finish import evaluate_saved
     from station.sources.find import is_run, open_source

@@ -28,8 +28,8 @@ from analysis.fibre_gyro import (
 from instrument.fibre_gyro import TABLE_ANGLE, Gap, HostClock, Losses, Recording
 from station.errors import RunError
 from station.fibre_gyro.settings import FogSettings
+from station.live.events import Progress
 from station.runs.acquisition import Acquisition
-from station.runs.progress import Progress
 from station.runs.store import NewRecord, RunWriter, SavedRecord, SavedRun
 
 BY_ENCODER = "by_encoder_s"

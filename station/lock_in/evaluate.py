@@ -31,12 +31,12 @@ from analysis.lock_in_run import (
 from instrument import Waveform
 from station.errors import NoUsableSignal, RunError, UsageError
 from station.files import given_back
+from station.live.events import Progress
 from station.lock_in.beams import beams_of_run
 from station.lock_in.columns import Collected, Pairs, read_waveforms, whole_pairs, with_intact_seconds
 from station.lock_in.estimate import FAST, Gathered, Piece, described_records, estimate_pieces, pieces_of
 from station.lock_in.settings import Settings, run_knowledge
 from station.ring_laser.records import saved_waveform
-from station.runs.progress import Progress
 from station.runs.store import SavedRecord, SavedRun
 from station.sources.run import source_of
 from station.sources.workers import Workers

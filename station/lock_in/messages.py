@@ -6,10 +6,10 @@ import numpy as np
 
 from analysis import FATAL, Flag, FrequencyFit, QuadratureFlag, RatesFit, RatesFlag, describe_flag, flag_names
 from analysis.arrays import NORMAL_95
+from analysis.beam_modulation import BeamsFlag
 from analysis.budget import Budget, BudgetInput
 from analysis.frequency_method import FrequencyFlag
 from analysis.lock_in_run import ScaleFactorCheck, SeveralRates, TableCheck
-from analysis.single_beams import BeamsFlag
 from station.lock_in.evaluate import LockInEvaluation
 from station.results.numbers import LOCK_IN_RATE
 from station.results.result import with_uncertainty

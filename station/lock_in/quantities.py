@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 
 from analysis import RatesFit, RatesFlag, flag_names
+from analysis.beam_modulation import BeamsFlag
 from analysis.frequency_method import FrequencyFlag
 from analysis.lock_in_run import RateGroup
-from analysis.single_beams import BeamsFlag
 from station.lock_in.evaluate import LockInEvaluation, describe_method
 from station.lock_in.messages import beams_sentences
 from station.results import numbers

@@ -18,6 +18,7 @@ from analysis.rotation import earth_rate_on_axis
 from instrument import ManualRateTable
 from instrument.scpi import DIVISIONS
 from station.errors import NoUsableSignal
+from station.live.events import Progress
 from station.lock_in.evaluate import fast_run_tilt, lock_in_so_far
 from station.lock_in.rate_plan import (
     RatePlan,
@@ -34,7 +35,6 @@ from station.ring_laser.bench import Beats, beats_at, beats_of_other_sense, open
 from station.ring_laser.records import Bench, acquisition_records, set_up, take_record
 from station.ring_laser.settings import DitherSettings
 from station.runs.acquisition import Acquisition
-from station.runs.progress import Progress
 from station.runs.store import RunWriter, SavedRecord
 from station.scope.autoset import KnobPositions, ScreenShape, find_beat, fit_channel
 

@@ -15,12 +15,12 @@ from station.datasets.data_set import Exported, check_target, names_of, whole
 from station.datasets.data_set import export as write
 from station.errors import EXIT_NO_SIGNAL, Failure, NoUsableSignal, UsageError
 from station.fibre_gyro.segments import segments_of
+from station.live.events import Progress
 from station.lock_in.evaluate import LockInEvaluation
 from station.notebook.result import Record, Result, RunRecords
 from station.reanalysis.combine import AnalyzedFiles, analyze_file, combine
 from station.ring_laser.records import saved_waveform
 from station.runs.annotations import Remarks, add_remark, read_remarks
-from station.runs.progress import Progress
 from station.runs.store import SavedRecord, SavedRun
 from station.runs.store import open_run as read_run
 from station.shell.finish import Evaluated, evaluate_run, kind_of

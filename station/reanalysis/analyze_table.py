@@ -10,6 +10,7 @@ from typing import Any, TypeVar
 
 from instrument import InstrumentError
 from station.errors import RunError, StationError, UsageError
+from station.live.events import Progress
 from station.lock_in.estimate import Piece, pieces_of
 from station.reanalysis.table_file import (
     Csv,
@@ -22,7 +23,6 @@ from station.reanalysis.table_file import (
     only_writer,
     rows_of_pieces,
 )
-from station.runs.progress import Progress
 from station.runs.store import RUN_FILES
 from station.sources.batches import ExcludedRecord, Source
 from station.sources.find import open_source

@@ -19,6 +19,7 @@ from analysis.lock_in_run import AxisRates, RecordArrays, RunArrays, evaluate
 from instrument import Waveform
 from station.errors import NoUsableSignal, UsageError
 from station.files import given_back
+from station.live.events import Progress
 from station.lock_in.beams import beams_of_files
 from station.lock_in.columns import Collected, read_waveforms
 from station.lock_in.estimate import Gathered, estimate_pieces
@@ -39,7 +40,6 @@ from station.results.result import FactTable, Result, Section, TextTable, plain,
 from station.results.verdict import LimitOutcome, Verdict, judged, limits_in, worst
 from station.ring_laser.records import saved_waveform
 from station.runs.database import COMPLETE, RunFacts
-from station.runs.progress import Progress
 from station.runs.store import SavedRun
 from station.settings import read_text, read_toml
 from station.shell.finish import SCHEMA_VERSION, standing_document

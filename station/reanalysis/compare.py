@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from instrument import InstrumentError
 from station.errors import NoUsableSignal, RunError, StationError, UsageError
+from station.live.events import Progress
 from station.measurements import measurement
 from station.reanalysis.analyze_table import KINDS, Work, table_file
 from station.reanalysis.combine import (
@@ -27,7 +28,6 @@ from station.report.figure import ACCENT, INK, SECOND, SOFT, write_picture
 from station.results.numbers import BEAT_FREQUENCY, LOCK_IN_RATE, LOCK_IN_RATE_NOISE_U
 from station.results.result import TextTable, plain, with_uncertainty
 from station.results.verdict import BudgetedValue, budgeted_values, derived, shared_inputs
-from station.runs.progress import Progress
 from station.shell.finish import evaluate_saved
 from station.sources.batches import ExcludedRecord
 from station.sources.find import find_sources, is_run

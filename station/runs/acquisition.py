@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from instrument import FoundPanel, Identity, InstrumentError
 from station.errors import Failure, RunError, StationError, describe_failure
 from station.files import provenance
+from station.live.events import Progress
 from station.live.preview import See, Watcher
 from station.runs.database import LABELS, TAKEN, utc_now
-from station.runs.progress import Progress
 from station.runs.signals import disturbed, undisturbed
 from station.runs.store import Acknowledge, NewRecord, RunWriter, SavedRun, open_run
 

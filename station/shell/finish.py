@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from station.datasets.data_set import whole
 from station.errors import (
@@ -20,13 +20,13 @@ from station.errors import (
     describe_failure,
     one_line,
 )
+from station.live.events import Events, Progress
 from station.live.preview import See
 from station.measurements import MEASUREMENTS, Measurement, measurement
 from station.results.result import FactTable, Result, Section, plain
 from station.results.verdict import LimitOutcome, Verdict, exit_code_of, judged, limits_in, worst
 from station.runs.acquisition import Acquisition, Taken, facts_of, take
 from station.runs.database import SUMS
-from station.runs.progress import Progress
 from station.runs.store import Acknowledge, SavedRun, open_run
 from station.settings import Values, saved_settings, settings_to_resume
 from station.sources.batches import Source
@@ -34,9 +34,6 @@ from station.sources.find import open_source
 from station.sources.run import SavedRecords, read_as_needed, source_of
 from station.sources.workers import ThisProcess, Workers
 from station.terminal import print_failure, print_json, remark, say
-
-if TYPE_CHECKING:
-    from station.live.events import Events
 
 SCHEMA_VERSION = 2
 

@@ -16,8 +16,7 @@ import click
 
 from station.errors import EXIT_DEFECT, EXIT_OK, EXIT_USAGE, SettingsError, describe_failure
 from station.files import version
-from station.live.events import Events
-from station.runs.progress import Acknowledgement, Progress
+from station.live.events import Acknowledgement, Events, Progress
 from station.terminal import PRINTS_ALL, PRINTS_ONE_LINE, prints, remark, stepping_aside
 
 if TYPE_CHECKING:

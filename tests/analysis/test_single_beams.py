@@ -9,12 +9,13 @@ from laser_fields import integrated_fields
 
 from analysis import estimate_lock_in, fit_rates
 from analysis.arrays import NoFit
+from analysis.beam_modulation import BeamModulation, BeamsFlag, beam_modulation
 from analysis.budget import RecordShape
 from analysis.harmonics import fit_harmonics
 from analysis.plan import expected_beams_u
 from analysis.ring_laser import TwoModeLaser, steady_beat
 from analysis.ring_laser.two_mode_laser import periodic_states, states_beside
-from analysis.single_beams import BeamModulation, BeamsFlag, BeamsKnowledge, beam_modulation, fit_beams
+from analysis.single_beams import BeamsKnowledge, fit_beams
 from benchmarks import beams
 
 K, WL, SAMPLES, PERIODS = 2000.0, 0.01, 2500, 20

@@ -7,12 +7,12 @@ import pytest
 from benchmarks import faults, soak
 from instrument import WrongInstrument
 from instrument.simulated import TcpServer, VirtualClock
+from station.live.events import Progress
 from station.lock_in.served import at_slow_rate
 from station.lock_in.settings import default_settings
 from station.measurements import measurement
 from station.ring_laser.instruments import build_instruments
 from station.runs.database import TAKEN
-from station.runs.progress import Progress
 from station.runs.store import open_run
 from station.shell.finish import resume_run, start_run
 from tests.ideal_bench import Interrupting

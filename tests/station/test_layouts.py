@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from station.live.events import Progress
 from station.measurements import measurement
-from station.runs.progress import Progress
 from station.runs.salvage import salvage
 from station.runs.store import open_run
 from station.shell.finish import resume_run

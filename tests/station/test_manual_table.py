@@ -16,12 +16,12 @@ from instrument.simulated import VirtualClock
 from station.dead_band.take import DEAD_BAND
 from station.dead_band.take import take_on as sweep_on
 from station.errors import UsageError
+from station.live.events import Progress
 from station.lock_in.settings import load_settings
 from station.lock_in.take import take_on
 from station.ring_laser.instruments import SimulatedInstruments, build_instruments
 from station.ring_laser.records import Bench
 from station.runs.acquisition import Acquisition, facts_of, take
-from station.runs.progress import Progress
 from station.runs.store import SavedRun, open_run
 from station.scope.tools import open_scope, serve
 from station.settings import load

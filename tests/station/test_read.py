@@ -10,11 +10,11 @@ from analysis.budget import bounded
 from instrument import Preamble, Waveform
 from instrument.tek_files import csv_text
 from station.errors import RunError
+from station.live.events import Progress
 from station.lock_in.evaluate import LockInEvaluation, evaluate_records, fast_run_tilt
 from station.lock_in.result import result
 from station.lock_in.settings import RING_LASER, Settings, bench_knowledge, default_settings, run_knowledge
 from station.reanalysis.combine import combine
-from station.runs.progress import Progress
 from station.runs.store import SavedRecord, SavedRun, open_run
 from station.settings import saved_settings
 from station.sources.workers import ThisProcess

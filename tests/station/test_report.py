@@ -8,13 +8,13 @@ from pathlib import Path
 import pytest
 from matplotlib.figure import Figure
 
+from station.live.events import Progress
 from station.lock_in.measurement import MEASUREMENT
 from station.lock_in.messages import lock_in_words
 from station.lock_in.report import line_svg, spectrum_svg, time_record_svg, values_svg
 from station.lock_in.settings import load_settings
 from station.report.figure import legend_above, make_room, svg_element
 from station.report.show import render_report, write_report
-from station.runs.progress import Progress
 from station.runs.store import SavedRun, open_run
 from station.shell.finish import evaluate_run, start_run
 from tests.ideal_bench import ideal_bench

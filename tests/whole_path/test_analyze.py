@@ -15,9 +15,9 @@ TEK_FILES = Path(__file__).resolve().parents[3] / "shared" / "data" / "tek-files
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    from station.live.events import Progress
     from station.lock_in.measurement import MEASUREMENT
     from station.lock_in.settings import load_settings
-    from station.runs.progress import Progress
     from station.shell.finish import start_run
 
     folder = tmp_path_factory.mktemp("analyze")

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from analysis.lockin_equation import harmonic_ratio, lock_in_from_rate
+from station.live.events import Progress
 from station.lock_in.evaluate import LockInEvaluation
 from station.lock_in.measurement import MEASUREMENT
 from station.lock_in.settings import load_settings
-from station.runs.progress import Progress
 from station.runs.store import open_run
 from station.settings import shipped_settings
 from station.shell.finish import evaluate_run, start_run

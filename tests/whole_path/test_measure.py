@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from station.live.events import Progress
 from station.lock_in.measurement import MEASUREMENT
 from station.lock_in.settings import load_settings
-from station.runs.progress import Progress
 from station.runs.store import SavedRun, open_run
 from station.settings import shipped_settings
 from station.shell.finish import evaluate_run, resume_run, start_run

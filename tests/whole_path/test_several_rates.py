@@ -9,11 +9,11 @@ from typing import Any
 
 import pytest
 
+from station.live.events import Progress
 from station.lock_in.measurement import MEASUREMENT
 from station.lock_in.settings import load_settings
 from station.report.show import render_report
 from station.runs.database import RunFacts
-from station.runs.progress import Progress
 from station.runs.store import SavedRun, open_run
 from station.shell.finish import evaluate_run, start_run
 from tests.ideal_bench import CLEAN, Interrupting, ideal_bench

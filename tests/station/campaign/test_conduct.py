@@ -20,11 +20,11 @@ from station.campaign.journal import JOURNAL, CampaignOutcome, Journal, read_jou
 from station.cli import main
 from station.controllers import served_controllers
 from station.errors import CannotWrite, UsageError
+from station.live.events import Progress
 from station.lock_in import take as lock_in_take
 from station.lock_in.served import scope_on_table
 from station.lock_in.settings import load_settings
 from station.plan import predict
-from station.runs.progress import Progress
 from station.runs.store import RunWriter, open_run
 from station.scope.tools import serve
 from tests.ideal_bench import ideal_bench

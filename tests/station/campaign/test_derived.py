@@ -21,11 +21,11 @@ from station.campaign.messages import sentences
 from station.campaign.record import verify, write_record
 from station.cli import main
 from station.errors import SettingsError, UsageError
+from station.live.events import Progress
 from station.lock_in import take as lock_in_take
 from station.program import ProgramSection, run_program
 from station.results.quantity import Quantity, QuantityGroup
 from station.results.verdict import budgeted_values, derived
-from station.runs.progress import Progress
 from station.runs.store import RunWriter
 
 Write = Callable[..., Path]

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from station.dead_band.measurement import MEASUREMENT
-from station.runs.progress import Progress
+from station.live.events import Progress
 from station.runs.store import SavedRun, open_run
 from station.settings import load
 from station.shell.finish import start_run

@@ -12,8 +12,8 @@ from station.dead_band import take as taking
 from station.dead_band.measurement import MEASUREMENT
 from station.dead_band.take import PURPOSE, SLOWEST_S, SweepStep, sweep, time_base
 from station.errors import NoUsableSignal, SettingsError
+from station.live.events import Progress
 from station.ring_laser.records import Bench
-from station.runs.progress import Progress
 from station.runs.store import SavedRun, open_run
 from station.settings import load
 from station.shell.finish import evaluate_run, resume_run, start_run

@@ -8,12 +8,12 @@ import pytest
 from instrument.simulated import VirtualClock
 from instrument.simulated.faults import Fault
 from station.cli import main
+from station.live.events import Progress
 from station.lock_in.settings import load_settings
 from station.lock_in.take import take_on
 from station.ring_laser.instruments import build_instruments
 from station.ring_laser.records import Bench
 from station.runs.acquisition import Acquisition, facts_of, take
-from station.runs.progress import Progress
 from station.scope.tools import open_scope, serve
 from tests.ideal_bench import ideal_bench
 

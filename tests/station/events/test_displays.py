@@ -18,9 +18,8 @@ from rich.console import Console
 from station.cli import main
 from station.live.console import PlainLines
 from station.live.display import picture, plot
-from station.live.events import Events
+from station.live.events import Events, Progress
 from station.live.status import STATE_VARIABLE, Running, Situation, StatusFile, running_programs
-from station.runs.progress import Progress
 from station.runs.store import open_run
 
 BRAILLE = re.compile("[\u2801-\u28ff]")

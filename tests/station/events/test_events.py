@@ -11,10 +11,9 @@ import numpy as np
 import pytest
 
 from station.errors import UsageError
-from station.live.events import KINDS, SCHEMA, Event, EventLines, Events, open_lines
+from station.live.events import KINDS, SCHEMA, Event, EventLines, Events, Progress, open_lines
 from station.live.preview import Preview, Watcher
 from station.live.status import Situation
-from station.runs.progress import Progress
 from station.runs.store import NewRecord
 
 

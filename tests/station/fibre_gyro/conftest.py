@@ -10,9 +10,9 @@ import pytest
 
 from station.fibre_gyro.segments import FogBench, PlannedSegment, take_segments
 from station.fibre_gyro.settings import FogSettings, load_fog_settings
+from station.live.events import Progress
 from station.measurements import measurement
 from station.runs.acquisition import Acquisition, facts_of, take
-from station.runs.progress import Progress
 from station.runs.store import SavedRun, open_run
 from station.shell.finish import Evaluated, evaluate_run, start_run
 

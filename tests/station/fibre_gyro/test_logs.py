@@ -11,8 +11,8 @@ from instrument.fibre_gyro import write_gyro_log
 from station.errors import UsageError
 from station.fibre_gyro.logs import read_list
 from station.fibre_gyro.segments import segments_of
+from station.live.events import Progress
 from station.measurements import measurement
-from station.runs.progress import Progress
 from station.runs.store import SavedRun, open_run
 from station.shell.finish import Evaluated, evaluate_run, start_run
 

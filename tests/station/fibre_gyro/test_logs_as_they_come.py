@@ -10,8 +10,8 @@ import pytest
 from station.errors import UsageError
 from station.fibre_gyro.selfcal import facts_of_table
 from station.fibre_gyro.settings import load_fog_settings
+from station.live.events import Progress
 from station.measurements import measurement
-from station.runs.progress import Progress
 from station.runs.store import open_run
 from station.shell.finish import evaluate_run, start_run
 

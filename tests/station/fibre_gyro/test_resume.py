@@ -16,9 +16,9 @@ from station.errors import EXIT_INSTRUMENT, RunError, UsageError
 from station.fibre_gyro import bench as simulated_bench
 from station.fibre_gyro.bench import SimulatedFogBench
 from station.fibre_gyro.segments import PlannedSegment
+from station.live.events import Progress
 from station.measurements import measurement
 from station.runs.database import TAKEN
-from station.runs.progress import Progress
 from station.runs.store import open_run
 from station.shell.finish import evaluate_run, resume_run, save_outcome, start_run
 

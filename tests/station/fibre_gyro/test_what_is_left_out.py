@@ -16,8 +16,8 @@ from station.errors import NoUsableSignal, RunError, UsageError
 from station.fibre_gyro.bench import SimulatedFogBench
 from station.fibre_gyro.segments import PlannedSegment, new_record, segments_of
 from station.fibre_gyro.table import plan
+from station.live.events import Progress
 from station.measurements import measurement
-from station.runs.progress import Progress
 from station.runs.store import RunWriter, open_run
 from station.shell.finish import Evaluated, evaluate_run, start_run
 

@@ -19,10 +19,10 @@ from station.fibre_gyro.bench import ServedGyro
 from station.fibre_gyro.settings import FIBRE_GYRO
 from station.fibre_gyro.sniff import read_frame_format
 from station.fibre_gyro.witness import evaluate, modulator_voltage
+from station.live.events import Progress
 from station.measurements import measurement
 from station.report.show import render_report
 from station.runs.database import RunFacts
-from station.runs.progress import Progress
 from station.runs.store import open_run
 from station.settings import saved_settings
 from station.shell.finish import evaluate_run, resume_run, save_outcome, start_run

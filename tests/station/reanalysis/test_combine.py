@@ -10,9 +10,9 @@ from instrument import Preamble, Waveform
 from instrument.tek_files import csv_text
 from station.cli import main
 from station.errors import NoUsableSignal, RunError, UsageError
+from station.live.events import Progress
 from station.reanalysis.combine import AnalyzedFiles, analyze_file, combine, scale_factor_of_files
 from station.report.show import render_report
-from station.runs.progress import Progress
 from station.runs.store import NewRecord, RunWriter, open_run
 from station.sources.find import find_sources
 from station.sources.workers import Processes, ThisProcess

@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from station.live.events import Progress
 from station.lock_in.columns import ColumnFiles, EstimatesOnDisk
 from station.lock_in.estimate import pieces_of
 from station.reanalysis.analyze_table import fill_table
 from station.report.show import render_report
-from station.runs.progress import Progress
 from station.runs.store import NewRecord, RunWriter, open_run
 from station.shell.finish import Evaluated, evaluate_run, evaluate_saved
 from station.sources.find import find_sources, open_source

@@ -14,13 +14,13 @@ import pytest
 
 from station.cli import main
 from station.errors import CannotWrite, RunError, UsageError
+from station.live.events import Progress
 from station.lock_in.quantities import QUANTITIES
 from station.reanalysis import parquet_table  # its schema holds the version: not first imported in a changed one
 from station.reanalysis.analyze_table import KINDS, Filled, fill_table, table_file
 from station.reanalysis.compare import compare, read_records, with_headlines
 from station.reanalysis.table_file import ORDER, only_writer
 from station.results.verdict import budgeted_values
-from station.runs.progress import Progress
 from station.runs.store import NewRecord, RunWriter, open_run
 from station.sources.find import find_sources
 from station.sources.workers import Processes, ThisProcess

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from station.fibre_gyro.settings import load_fog_settings
+from station.live.events import Progress
 from station.measurements import measurement
 from station.report.show import render_report
-from station.runs.progress import Progress
 from station.runs.store import open_run
 from station.shell.finish import evaluate_run, start_run
 

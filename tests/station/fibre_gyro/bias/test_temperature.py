@@ -14,9 +14,9 @@ from station.fibre_gyro.bench import SimulatedFogBench
 from station.fibre_gyro.segments import PlannedSegment
 from station.fibre_gyro.settings import load_fog_settings
 from station.fibre_gyro.temperature import plan
+from station.live.events import Progress
 from station.measurements import measurement
 from station.report.show import render_report
-from station.runs.progress import Progress
 from station.runs.store import open_run
 from station.shell.finish import evaluate_run, resume_run, start_run
 

@@ -14,9 +14,9 @@ from station.fibre_gyro import bench as simulated_bench
 from station.fibre_gyro.bench import SimulatedFogBench
 from station.fibre_gyro.segments import PlannedSegment, segments_of
 from station.fibre_gyro.settings import load_fog_settings
+from station.live.events import Progress
 from station.measurements import measurement
 from station.report.show import render_report
-from station.runs.progress import Progress
 from station.runs.store import open_run
 from station.shell.finish import evaluate_run, resume_run, start_run
 from tests.station.fibre_gyro.test_logs_as_they_come import Logs

@@ -273,9 +273,8 @@ _SETTLED = 1e-9  # a step that changes chi-square by less, relatively, was the l
 _TRIES, _EVALUATIONS = 10, 60  # steps of a first look, and of the search to the end
 _SMALL = 1e-6  # step of a parameter of which nothing is known
 _SOFTER = (1000.0, 100.0, 10.0)  # times the noise, in a first look
-    0.05,
-    np.array([-1.5, -0.5, 0.5, 1.5]),
-)  # u of a turn that records show, turns that are tried: of its sd
+_SHOWN = 0.05  # u of a turn over that beforehand, where records show it
+_TURNED = np.array([-1.5, -0.5, 0.5, 1.5])  # of the same, turns from which a search begins where they do not
 _NO_LEVEL_U, _FREED_U = 3.0, 0.03  # of the logarithm of an unknown level; of the push taken out of beats, relative
 
 
@@ -626,18 +625,30 @@ def _solutions(data: BeamsData, near: LaserFit | None = None) -> list[LaserFit]:
         end = _search(model, start, _EVALUATIONS)
         if end is None:
             continue
-        one = LaserFit.at(model, end[0])
-        u = 1e-3 + 0.5 * np.sqrt(np.diagonal(one.covariance)[:4])
-        if not any(np.all(np.abs(one.apart(other)) < u) for other in found):
-            found.append(one)
+        found = _with(found, LaserFit.at(model, end[0]))
     if not found:
         raise NoFit("no two-mode laser fits the records of beat and beams")
+    best = min(found, key=lambda one: one.chi_square)
+    if near is None and best.covariance[TURN, TURN] > (_SHOWN * data.sd[TURN]) ** 2:
+        # phases that turn stand for a coupling at another angle, and a ridge may be between the two
+        held = LaserModel(replace(data, sd=np.where(np.arange(N_PARAMETERS) == TURN, 0.0, data.sd)), best)
+        for turn in _TURNED * data.sd[TURN]:
+            start = np.where(np.arange(N_PARAMETERS) == TURN, turn, best.parameters)
+            end = _search(held, start, _EVALUATIONS)
+            end = end and _search(model, end[0], _EVALUATIONS)
+            found = found if end is None else _with(found, LaserFit.at(model, end[0]))
     found.sort(key=lambda one: one.chi_square)
     if found[0].chi_square > _HOPELESS * found[0].values:
         raise NoFit(
             "no two-mode laser is near what beat and beams show: is their backscatter too strong for its gain?"
         )
     return [one for one in found if one.chi_square < found[0].chi_square + POSSIBLE]
+
+
+def _with(found: list[LaserFit], one: LaserFit) -> list[LaserFit]:
+    """The minima and one more, if it is another."""
+    u = 1e-3 + 0.5 * np.sqrt(np.diagonal(one.covariance)[:4])
+    return found if any(np.all(np.abs(one.apart(other)) < u) for other in found) else [*found, one]
 
 
 def _looked(model: LaserModel) -> list[tuple[Floats, float]]:

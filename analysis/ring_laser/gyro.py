@@ -344,16 +344,14 @@ class Dither:
         period = np.floor(cycles)
         whole, place = period.astype(np.int64), cycles - period
         first = int(whole.min()) - 1
-        known = np.array([self._amplitude(number) for number in range(first, int(whole.max()) + 3)])
+        needed = range(first, int(whole.max()) + 3)
+        draws = [np.random.default_rng([self.seed, number & 0xFFFFFFFF]).standard_normal() for number in needed]
+        known = self.rate * (1 + self.noise * np.array(draws))
         before, begin, end, after = (known[whole - first + n] for n in (-1, 0, 1, 2))
         slopes = (end - before) / 2, (after - begin) / 2
         bent = begin + place * slopes[0] + place**2 * (3 * (end - begin) - 2 * slopes[0] - slopes[1])
         bent += place**3 * (2 * (begin - end) + slopes[0] + slopes[1])
         return np.asarray(bent * np.cos(2 * np.pi * place))
-
-    def _amplitude(self, number: int) -> float:
-        draw = np.random.default_rng([self.seed, number & 0xFFFFFFFF]).standard_normal()
-        return self.rate * (1 + self.noise * float(draw))
 
 
 class DitheredFringe:

@@ -717,17 +717,11 @@ def over_gain_times(
     weights /= weights.sum()
     values, us = np.hypot(fits.parameters[:, 0], fits.parameters[:, 1]), size_us(fits) * math.sqrt(widen)
     square = float(np.sum(weights * (us**2 + (values - said.value) ** 2)))
-    low, high = _interval(weights, values, us)
+    sizes = np.linspace(np.min(values - _TAILS * us), np.max(values + _TAILS * us), _STEPS)
+    below = scipy.special.ndtr((sizes[:, np.newaxis] - values) / us) @ weights  # of the sum of bells
+    low, high = (float(end) for end in np.interp(_INTERVAL, below, sizes))
     u = math.sqrt((said.u**2 + square) / 2)
     return RatesAnswer(said.value, u, min(said.low, max(low, 0.0)), max(said.high, high), said.others)
-
-
-def _interval(weights: Floats, values: Floats, us: Floats) -> tuple[float, float]:
-    """95 % of the sum of bells."""
-    sizes = np.linspace(np.min(values - _TAILS * us), np.max(values + _TAILS * us), _STEPS)
-    below = scipy.special.ndtr((sizes[:, np.newaxis] - values) / us) @ weights
-    low, high = np.interp(_INTERVAL, below, sizes)
-    return float(low), float(high)
 
 
 # --------------------

@@ -80,7 +80,10 @@ def read_campaign(path: Path, unit: str) -> CampaignPlan:
         settings=campaign.model_dump(mode="json"),
         unit=unit,
         directory=Path(campaign.output.directory),
-        simulated=all(kinds[step.measurement].simulated(_model(kinds, step)) for step in steps),
+        simulated=all(
+            kind.simulated(kind.kind.model.model_validate(dict(step.settings)))
+            for step, kind in ((step, kinds[step.measurement]) for step in steps)
+        ),
         steps=steps,
         instruments=tuple(InstrumentCard(**dict(one)) for one in campaign.instrument),
         reference=None if reference is None else ReferenceUnit(reference.unit, reference.every_h),
@@ -101,10 +104,6 @@ def _without(given: Mapping[str, Any], error: ValidationError) -> CampaignFile |
         return CampaignFile.model_validate(left)
     except ValidationError:
         return None
-
-
-def _model(kinds: Mapping[str, Measurement[Any, Any]], step: PlannedStep) -> Any:
-    return kinds[step.measurement].kind.model.model_validate(dict(step.settings))
 
 
 def _check_shared(

@@ -377,7 +377,7 @@ def budget_rows(budget: Budget) -> list[tuple[str, ...]]:
     # The last one is the combined uncertainty.
     rows: list[tuple[str, ...]] = []
     for line in budget.inputs:
-        unit = "" if line.unit == "1" else f" {line.unit}"
+        unit, share = "" if line.unit == "1" else f" {line.unit}", budget.share(line)
         rows.append(
             (
                 line.quantity if line.stated else f"{line.quantity} (not stated)",
@@ -386,7 +386,7 @@ def budget_rows(budget: Budget) -> list[tuple[str, ...]]:
                 line.distribution,
                 f"{line.sensitivity:.3g}" if line.sensitivity else "0",
                 f"{line.contribution:.2g}" if line.contribution else "0",
-                _percent(budget.share(line)),
+                "0" if share == 0 else "< 0.1 %" if share < 0.001 else f"{100 * share:.1f} %",
                 _freedom(line.degrees_of_freedom),
             )
         )
@@ -442,10 +442,6 @@ def doubt_sentence(budget: Budget) -> str:
     if first is None or first.stated or first.contribution == 0:
         return ""
     return f"The largest uncertainty is an assumption: {first.quantity}, {first.note}."
-
-
-def _percent(share: float) -> str:
-    return "0" if share == 0 else "< 0.1 %" if share < 0.001 else f"{100 * share:.1f} %"
 
 
 def _freedom(value: float) -> str:

@@ -384,6 +384,29 @@ def test_a_phase_that_may_turn_makes_the_lock_in_rate_no_smaller(rates):
     assert abs(fit.lock_in_rate - WL) < 3.3 * fit.lock_in_rate_u < 0.07 * WL
 
 
+@pytest.mark.parametrize("seed", [6, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (0, 2, 5, 7))])
+def test_a_turn_hides_no_other_laser(seed):
+    """One record at each of two rates: a phase that turns and another angle of the coupling look much alike."""
+    rng = np.random.default_rng([0, seed])
+    spread = (
+        np.exp(rng.uniform(-0.8, 0.8)),
+        rng.uniform(0, 2.4),
+        np.exp(rng.uniform(-0.5, 2)),
+        rng.uniform(0.3, 0.7),
+    )
+    bench = Bench(
+        laser(*spread),
+        rng.uniform(-3, 3),
+        rng.uniform(0.2, 1.8),
+        rng.uniform(-0.004, 0.004),
+        tuple(rng.uniform(-0.006, 0.006, 2)),
+        noise=1.5,
+    )
+    levels = tuple(rng.normal(size=2) * 0.01)
+    fit = fit_beams(*measured(bench, (1.68 * WL, 16.94 * WL), seed=seed, level_error=levels, count=1), KNOWN)
+    assert abs(fit.lock_in_rate - WL) < 3.3 * fit.lock_in_rate_u < 0.16 * WL
+
+
 def test_a_fit_keeps_the_least_of_lock_in_rates_that_are_all_too_large():
     # strongly winking, and close to lock-in: no fit of the beat alone is near
     alone, _ = measured(Bench(laser(2.09, 2.262, 10.5)), (1.1 * WL, 2.53 * WL, -1.65 * WL), count=2)

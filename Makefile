@@ -12,7 +12,9 @@ READY  := $(VENV)/.ready
 LOWEST := .venv-lowest
 SEED   ?= $(shell date +%s)
 ORDER  ?= $(SEED)
-PIP    := -m pip install --quiet --disable-pip-version-check
+# What pip compiles in one process two do in half the time; nobody runs the packages' own tests.
+PIP    := -m pip install --quiet --disable-pip-version-check --no-compile
+COMPILE := -m compileall -qq -j 0 -x '/tests?/'
 define NEW_VENV
 $(PYTHON) -c 'import sys; v = sys.version_info; sys.exit(0 if v >= (3, 11) else "Python 3.11 or newer is needed, this is %d.%d: try make PYTHON=python3.12" % v[:2])'
 $(PYTHON) -m venv $(VENV)
@@ -69,11 +71,13 @@ site: $(READY)
 $(RUNS): pyproject.toml
 	$(NEW_VENV)
 	$(BIN)/python $(PIP) --editable .
+	-$(BIN)/python $(COMPILE) $(VENV)
 	touch $(RUNS)
 
 $(READY): pyproject.toml
 	$(NEW_VENV)
 	$(BIN)/python $(PIP) --editable '.[dev]'
+	-$(BIN)/python $(COMPILE) $(VENV)
 	touch $(RUNS) $(READY)
 
 $(LOWEST)/.ready: pyproject.toml

@@ -170,6 +170,7 @@ def outcome(plan: Plan, drift: float, fault: Fault | None, seed: int) -> Outcome
     between = between if fault.between is None else _either(rng, fault.between)
     grows = drift * LOCK_IN_DRIFT_LIMIT * rng.uniform(-1, 1) + _either(rng, fault.grows)
     start, readout = rng.uniform(0, 2 * np.pi, 2)
+    phase_sum = math.radians(60) * rng.uniform(-1, 1)
     receiver = Detector(start, second_order=2 * second, third_order=4 * third)
     channel: Channel = fault.channel(rng) if fault.channel else _one_pole(pole)
     hums = [_either(rng, fault.hum) * np.exp(2j * np.pi * rng.uniform()) for _ in range(6)]
@@ -192,7 +193,7 @@ def outcome(plan: Plan, drift: float, fault: Fault | None, seed: int) -> Outcome
                 records.append(records[-1])
                 continue
             then = WL * (1 + grows * when[row])
-            winking = Winking(true_k, then, gain_hz)
+            winking = Winking(true_k, then, gain_hz, phase_sum)
             factor = float(winking.frequency_factor(np.array([abs(rate)]))[0])
             beat = true_k * math.sqrt(rate**2 - then**2) * factor
             level = LEVEL * abs(channel(np.array([beat]))[0])  # what is weaker behind the channel is shown larger

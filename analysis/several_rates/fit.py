@@ -412,9 +412,9 @@ def _result(
         coupling = coupling_seen(beats, said.u / said.value)
     failed = p_value < UNLIKELY
     if differ and (failed or _left_over(points.points, prior, points.settings) <= 0) and not records.rate_of_beat:
-        said = widened(said, _by_other_reference(points.points, said.value, common))
-    said = widened(said, _OF_ALL * points.uneven)
-    said = with_coupling(said, fit, records.scale_factor, failed=failed or differ, by_beats=coupling)
+        said = widened(said, _by_other_reference(points.points, said.value, common) / math.sqrt(3))
+    said = widened(said, _OF_ALL * points.uneven / math.sqrt(3))
+    said = with_coupling(said, fit, points.points, failed=failed or differ, by_beats=coupling)
     us, fitted = np.sqrt(np.diagonal(covariance)), np.where([True, True, *FREE[chosen]], 1.0, np.nan)
     rates = np.abs(records.rate[records.locked])
     possible = rates[rates <= said.high]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.special
@@ -12,7 +12,7 @@ import scipy.special
 from analysis.arrays import NORMAL_95, Floats
 from analysis.lockin_rate import size_interval
 from analysis.several_rates.points import Points
-from analysis.several_rates.ratio_model import N_PARAMETERS, PHASES, SENSES, Prior, RatioData, RatioFit, profile
+from analysis.several_rates.ratio_model import N_PARAMETERS, PHASES, Prior, RatioData, RatioFit, profile
 from analysis.several_rates.result import Alternative
 
 POSSIBLE = 9.0
@@ -124,34 +124,38 @@ _REFINEMENTS, _FINER = 1, 6
 
 
 def with_coupling(
-    said: RatesAnswer, fit: RatioFit, scale_factor: float, *, failed: bool, by_beats: CouplingSeen | None
+    said: RatesAnswer, fit: RatioFit, data: RatioData, *, failed: bool, by_beats: CouplingSeen | None
 ) -> RatesAnswer:
-    """The answer with what coupling without loss may do to it, for a gain corner that is seen."""
-    # The ratios do not show that coupling: it counts with the angle that it may have where all fits, and with
-    # twice that angle where the model failed, or the beats are not those of the rates; but with no more than beats
-    # and rates allow.
-    # With an angle between the backscatter of the two beams WL comes out too high by up to (B_s/g_d)^2, B_s = 2 pi
-    # K WL tan(eps/2) and g_d a third of g_c for a cross saturation of half the self saturation
-    # (docs/several_rates.md).
+    """The answer freed of what coupling without loss is expected to add to it, for a gain corner that is seen."""
+    # An angle eps between the backscatter of the two beams makes WL come out too high by c = (B_s/g_d)^2, B_s =
+    # 2 pi K WL tan(eps/2) and g_d a third of g_c for a cross saturation of half the self saturation
+    # (docs/several_rates.md). No ratio shows it, and it has one sign: its mean is taken out, and what is left
+    # counts. Every angle is as likely up to 60 degrees where all fits, and up to 120 where the model failed or the
+    # beats are not those of the rates; beats and rates that are known weigh them.
     gain_time, u = float(fit.parameters[0, 3]), float(np.sqrt(fit.covariance[0, 3, 3]))
     if not gain_time > _SEEN * u:
         return said
     doubtful = failed or (by_beats is not None and by_beats.significant)
-    coupling = _LARGEST_COUPLING if doubtful else _USUAL_COUPLING
-    share = (2 * math.pi * scale_factor * said.value * coupling * GAIN_OVER_DIFFERENCE * gain_time) ** 2
-    if by_beats is not None:
-        share = min(share, by_beats.most)
-    turn_u = np.sqrt(fit.covariance[0, SENSES, SENSES])
-    return widened(said, share * (_BESIDE_A_TURN if abs(fit.parameters[0, SENSES]) > _SEEN * turn_u > 0 else 1.0))
+    angles = (_LARGEST_ANGLE if doubtful else _USUAL_ANGLE) * (np.arange(_ANGLES) + 0.5) / _ANGLES
+    size = said.value * float(data.angular[0] / data.beat_rate[0]) * GAIN_OVER_DIFFERENCE * gain_time
+    added = (size * np.tan(angles / 2)) ** 2
+    weights = np.ones(_ANGLES) if by_beats is None else by_beats.likelihood(added)
+    parts = _PARTS + (_BY_BEAT if data.reference == "beat" else 0.0)
+    parts = parts / (1 + _FADING * (data.angular.min() * gain_time) ** 2)
+    shares = 1 / (1 + parts[:, np.newaxis] * added)
+    mean, square = (float(np.average((shares**power).mean(axis=0), weights=weights)) for power in (1, 2))
+    sd = math.sqrt(max(square - mean**2, 0.0))
+    return widened(replace(said, value=mean * said.value, low=mean * said.low, high=mean * said.high), sd / mean)
 
 
-_BESIDE_A_TURN = 1.5
-"""Such coupling looks like a phase between the senses too; where one is fitted WL comes out so much farther."""
+_PARTS, _BY_BEAT, _FADING = np.linspace(0.4, 1.0, 13), 0.55, 5.0
+"""Parts of c by which WL comes out too high; what is added where the beat, which it pushes, stands for the rate;
+and how that fades where the slowest beat is fast for the gain. By the integrated equations, for 20 to 60 deg."""
 
 
-def widened(said: RatesAnswer, share: float) -> RatesAnswer:
-    """The answer with one more unknown beside what it counts: a rectangle of half width `share` of its value."""
-    extra = share * said.value / math.sqrt(3)
+def widened(said: RatesAnswer, share_u: float) -> RatesAnswer:
+    """The answer with one more unknown beside what it counts, of standard deviation `share_u` of its value."""
+    extra = share_u * said.value
     reach = NORMAL_95 * extra
     low = said.value - math.hypot(said.value - said.low, reach)
     high = said.value + math.hypot(said.high - said.value, reach)
@@ -159,8 +163,8 @@ def widened(said: RatesAnswer, share: float) -> RatesAnswer:
 
 
 _SEEN = 3.3
-_LARGEST_COUPLING, _USUAL_COUPLING = math.sqrt(3.0), 1 / math.sqrt(3.0)
-"""tan(eps/2) of 120 and of 60 degrees between the backscatter of the beams."""
+_LARGEST_ANGLE, _USUAL_ANGLE, _ANGLES = math.radians(120.0), math.radians(60.0), 500
+"""Largest angles between the backscatter of the beams, and how many of each are tried."""
 
 
 def polar_covariance(fit: RatioFit) -> Floats:
@@ -242,12 +246,12 @@ class CouplingSeen:
         """Whether it is more than chance makes of no coupling."""
         return abs(self.share) > 1.7 * self.reach * self.u
 
-    @property
-    def most(self) -> float:
-        """Largest c that is likely. It is never negative: where it surely seems so, the rates are wrong."""
-        if self.share < -self.reach * self.u:
-            return abs(self.share) + self.reach * self.u
-        return max(self.share + self.reach * self.u, self.u)
+    def likelihood(self, shares: Floats) -> Floats:
+        """How likely the beats make these c (n,); where c surely seems negative the rates are wrong by as much."""
+        wrong = max(-self.share - self.reach * self.u, 0.0)
+        u = math.hypot(self.u * self.reach / NORMAL_95, wrong)
+        off = ((shares - max(self.share, 0.0)) / u) ** 2
+        return np.asarray(np.exp(-0.5 * (off - off.min())))
 
 
 def coupling_seen(beats: Floats, lock_in_u: float) -> CouplingSeen | None:

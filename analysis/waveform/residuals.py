@@ -505,7 +505,10 @@ def hidden_by_harmonics(left: Samples, omega: Floats, mean: Floats) -> Floats:
 
 def repeating(power: Samples, line: float, n_samples: int) -> tuple[float, bool]:
     """Power (sum of lines) on the harmonics beyond that of the noise beside them, and whether that is flagged."""
-    harmonics = [_bins_of(order * line, n_samples, power.size) for order in range(1, LAST + 1)]
+    # of each (folded) harmonic the two lines of the spectrum next to it
+    places = line * np.arange(1.0, LAST + 1) + n_samples / 2
+    folded = np.abs(places % n_samples - n_samples / 2).astype(int)
+    harmonics = np.clip(np.stack([folded, folded + 1], axis=-1), 1, power.size).tolist()
     free = np.ones(power.size + 1)
     free[[0, *itertools.chain(*harmonics)]] = 0.0
     # sums of what lies below, so that every neighbourhood is one difference
@@ -602,9 +605,3 @@ def by_code(left: Floats, level: Floats) -> float | None:
 
 
 STEP, ONE_STEP = 8, 12.0  # heights on either side of a step, and times by which it exceeds the others in power
-
-
-def _bins_of(place: float, n_samples: int, n_lines: int) -> tuple[int, int]:
-    """Numbers of the two lines of a spectrum next to a (folded) place."""
-    folded = int(abs((place + n_samples / 2) % n_samples - n_samples / 2))
-    return min(max(folded, 1), n_lines), min(max(folded + 1, 1), n_lines)

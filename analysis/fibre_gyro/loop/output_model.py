@@ -148,7 +148,10 @@ class OutputModel:
         regression = (2.0 - gain) / gain
         rest = laws.step_noise * np.sqrt(np.maximum(pairs - regression, 0.0)) * drive.noise[..., 1]
         noisy, state = target + (regression * last + rest) / pairs, end + last
-        counts = -self._rounded(self._settled(noisy, state, drive.pairs * left), drive.pairs)
+        # the loop comes from the state at the end of the output before
+        before = np.concatenate((self._feedback[:, None], state[:, :-1]), axis=1)
+        self._feedback = state[:, -1].copy()
+        counts = -self._rounded(noisy - (state - before) / (gain * pairs), drive.pairs)
         nan = np.full(counts.shape, np.nan)
         return _Fields(counts, nan, nan, np.minimum(resets, drive.pairs))
 
@@ -185,12 +188,6 @@ class OutputModel:
         seen = falls - np.diff(to_come, axis=1, prepend=ramp.to_come[:, None])
         ramp.place, ramp.to_come = place[:, -1] - turns[:, -1], to_come[:, -1].copy()
         return falls, seen
-
-    def _settled(self, mean: Floats, state: Floats, pairs: Floats) -> Floats:
-        """Mean step of each output: the loop comes from the state at the end of the output before."""
-        before = np.concatenate((self._feedback[:, None], state[:, :-1]), axis=1)
-        self._feedback = state[:, -1].copy()
-        return mean - (state - before) / (self._laws.gain * pairs)
 
     def _rounded(self, mean: Floats, pairs: Ints) -> Floats:
         """Steps in whole units; what is rounded off stays in the accumulator and comes in the next output."""

@@ -26,22 +26,23 @@ def fitted(phase_sum, *, rates=RATES, corner=CORNER, steady=1e-5, reference="bea
 
 
 def test_beats_that_follow_the_rates_rule_coupling_out():
-    """Where nothing tests it, it counts with (1.732 tan(30 deg) K WL/corner * 3)^2 / sqrt 3, 0.8 %."""
+    """Where nothing tests it, a fifth of (tan(30 deg) K WL/corner * 3)^2 = 1.3 % goes and counts."""
     steady = fitted(0.0)
     assert steady.lock_in_rate_u < 0.0012 * WL
     assert abs(steady.lock_in_rate / WL - 1) < 0.005
     # beats scattered by 1 % about their rates tell nothing
-    assert fitted(0.0, steady=0.01).lock_in_rate_u > 0.007 * WL
+    assert fitted(0.0, steady=0.01).lock_in_rate_u > 0.002 * WL
 
 
 @pytest.mark.parametrize("reference", ["beat", "rate"])
 @pytest.mark.parametrize("phase_sum", [20, 40, 60])
-def test_coupling_that_the_beats_show_counts_with_its_size(phase_sum, reference):
+def test_coupling_that_the_beats_show_is_taken_out(phase_sum, reference):
+    """Ratios alone see a lock-in rate that is too high by 0.75 to 1.22 times the share."""
     fit = fitted(phase_sum, reference=reference)
     share = (3 * np.tan(np.deg2rad(phase_sum / 2)) * K * WL / CORNER) ** 2
     assert fit.lock_in_rate_low_95 < WL < fit.lock_in_rate_high_95
-    assert 0.3 * share < abs(fit.lock_in_rate / WL - 1) < 1.25 * share
-    assert 0.5 * share < fit.lock_in_rate_u / WL < 0.85 * share + 0.002
+    assert abs(fit.lock_in_rate / WL - 1) < 0.4 * share
+    assert 0.12 * share < fit.lock_in_rate_u / WL < 0.4 * share + 0.0002
 
 
 @pytest.mark.slow
@@ -78,8 +79,8 @@ def test_rates_that_come_from_the_beats_test_nothing():
     given = np.repeat(RATES * WL, 2)
     own = np.sign(given) * np.concatenate([one.input_rate for one in made])
     known, circular = (fit_rates(made, input_rate=rate, reference="beat") for rate in (given, own))
-    assert circular.lock_in_rate == pytest.approx(known.lock_in_rate, rel=1e-3)
-    assert known.lock_in_rate_u < 0.003 * WL < 0.007 * WL < circular.lock_in_rate_u
+    assert abs(circular.lock_in_rate - known.lock_in_rate) < 1.2 * circular.lock_in_rate_u
+    assert known.lock_in_rate_u < 0.0015 * WL < 0.002 * WL < circular.lock_in_rate_u
 
 
 def test_a_wrong_scale_factor_is_no_coupling():
@@ -99,10 +100,11 @@ def test_slow_gain_is_no_wrong_scale_factor():
 
 @pytest.mark.slow
 def test_strong_coupling_near_the_threshold_counts_with_what_rates_and_beats_differ_by():
-    """Equation (1) does not hold there: the answers with the two references are far apart."""
+    """Equation (1) does not hold there: by ratios the answers with the two references are far apart."""
     near = {"rates": both_senses(1.2, 2, 4), "corner": 20 * K * WL}
     by_beat, by_rate = (fitted(108, reference=reference, **near) for reference in ("beat", "rate"))
-    assert abs(by_beat.lock_in_rate - by_rate.lock_in_rate) > 0.05 * WL
+    of_ratios = [next(one.lock_in_rate for one in fit.models if one.model == "all") for fit in (by_beat, by_rate)]
+    assert abs(of_ratios[0] - of_ratios[1]) > 0.05 * WL
     for fit in (by_beat, by_rate):
         assert fit.flags & (RatesFlag.RATE_AND_BEAT_DISAGREE | RatesFlag.MISFIT)
         assert abs(fit.lock_in_rate - WL) < 2.5 * fit.lock_in_rate_u

@@ -127,11 +127,9 @@ def with_coupling(
     said: RatesAnswer, fit: RatioFit, data: RatioData, *, failed: bool, by_beats: CouplingSeen | None
 ) -> RatesAnswer:
     """The answer freed of what coupling without loss is expected to add to it, for a gain corner that is seen."""
-    # An angle eps between the backscatter of the two beams makes WL come out too high by c = (B_s/g_d)^2, B_s =
-    # 2 pi K WL tan(eps/2) and g_d a third of g_c for a cross saturation of half the self saturation
-    # (docs/several_rates.md). No ratio shows it, and it has one sign: its mean is taken out, and what is left
-    # counts. Every angle is as likely up to 60 degrees where all fits, and up to 120 where the model failed or the
-    # beats are not those of the rates; beats and rates that are known weigh them.
+    # An angle eps between the backscatter of the two beams makes WL too high by a part of c = (B_s/g_d)^2, B_s =
+    # 2 pi K WL tan(eps/2), g_d a third of g_c (docs/several_rates.md), which no ratio shows. Every angle is as likely
+    # up to 60 degrees where all fits, and 120 where it does not; beats and rates that are known weigh them.
     gain_time, u = float(fit.parameters[0, 3]), float(np.sqrt(fit.covariance[0, 3, 3]))
     if not gain_time > _SEEN * u:
         return said
@@ -140,7 +138,8 @@ def with_coupling(
     size = said.value * float(data.angular[0] / data.beat_rate[0]) * GAIN_OVER_DIFFERENCE * gain_time
     added = (size * np.tan(angles / 2)) ** 2
     weights = np.ones(_ANGLES) if by_beats is None else by_beats.likelihood(added)
-    parts = _PARTS + (_BY_BEAT if data.reference == "beat" else 0.0)
+    parts = _PARTS if np.unique(np.sign(data.rate)).size == 2 else _IN_ONE_SENSE
+    parts = parts + (_BY_BEAT if data.reference == "beat" else 0.0)
     parts = parts / (1 + _FADING * (data.angular.min() * gain_time) ** 2)
     shares = 1 / (1 + parts[:, np.newaxis] * added)
     mean, square = (float(np.average((shares**power).mean(axis=0), weights=weights)) for power in (1, 2))
@@ -148,9 +147,11 @@ def with_coupling(
     return widened(replace(said, value=mean * said.value, low=mean * said.low, high=mean * said.high), sd / mean)
 
 
-_PARTS, _BY_BEAT, _FADING = np.linspace(0.4, 1.0, 13), 0.55, 5.0
-"""Parts of c by which WL comes out too high; what is added where the beat, which it pushes, stands for the rate;
-and how that fades where the slowest beat is fast for the gain. By the integrated equations, for 20 to 60 deg."""
+_PARTS, _IN_ONE_SENSE = np.linspace(-0.5, 1.0, 31), np.linspace(-0.5, 3.0, 71)
+_BY_BEAT, _FADING = 0.5, 5.0
+"""Parts of c by which WL comes out too high, 0.5 to 1 for equal beams, and less than nothing for unequal ones that
+are in phase; what is added where the beat, which they push, stands for the rate; and how that fades where the
+slowest beat is fast for the gain. By the integrated equations, for a2/a1 up to 2.5 and angles up to 60 deg."""
 
 
 def widened(said: RatesAnswer, share_u: float) -> RatesAnswer:

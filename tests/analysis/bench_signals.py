@@ -56,10 +56,10 @@ def seen(beat: SteadyBeat, times, *, readout_phase=0.0, start_phase=0.0, contras
     return lines[orders == 0].imag[0] + waves
 
 
-def ratios_of_slow_gain(multiples, corner, phase_sum=0.0, readout=0.4):
+def ratios_of_slow_gain(multiples, corner, phase_sum=0.0, readout=0.4, **of_laser):
     """Rates, exact complex ratios and beat frequencies of lines that the integrated equations give."""
     rates, ratios, beats = np.array(multiples) * WL, [], []
-    laser = symmetric_laser(WL, scale_factor=K, gain_corner_hz=corner, phase_sum=phase_sum)
+    laser = symmetric_laser(WL, scale_factor=K, gain_corner_hz=corner, phase_sum=phase_sum, **of_laser)
     for rate in rates:
         steady = steady_beat(laser, rate)
         middle = steady.beat.size // 2

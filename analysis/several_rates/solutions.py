@@ -128,8 +128,8 @@ def with_coupling(
 ) -> RatesAnswer:
     """The answer freed of what coupling without loss is expected to add to it, for a gain corner that is seen."""
     # An angle eps between the backscatter of the two beams makes WL too high by a part of c = (B_s/g_d)^2, B_s =
-    # 2 pi K WL tan(eps/2), g_d a third of g_c (docs/several_rates.md), which no ratio shows. Every angle is as likely
-    # up to 60 degrees where all fits, and 120 where it does not; beats and rates that are known weigh them.
+    # 2 pi K WL tan(eps/2), g_d a third of g_c (docs/several_rates.md), which no ratio shows. Every angle is
+    # as likely up to 60 degrees where all fits, and 120 where not; beats and rates that are known weigh them.
     gain_time, u = float(fit.parameters[0, 3]), float(np.sqrt(fit.covariance[0, 3, 3]))
     if not gain_time > _SEEN * u:
         return said
@@ -147,8 +147,7 @@ def with_coupling(
     return widened(replace(said, value=mean * said.value, low=mean * said.low, high=mean * said.high), sd / mean)
 
 
-_PARTS, _IN_ONE_SENSE = np.linspace(-0.5, 1.0, 31), np.linspace(-0.5, 3.0, 71)
-_BY_BEAT, _FADING = 0.5, 5.0
+_PARTS, _IN_ONE_SENSE, _BY_BEAT, _FADING = np.linspace(-0.5, 1.0, 31), np.linspace(-0.5, 3.0, 71), 0.5, 5.0
 """Parts of c by which WL comes out too high, 0.5 to 1 for equal beams, and less than nothing for unequal ones that
 are in phase; what is added where the beat, which they push, stands for the rate; and how that fades where the
 slowest beat is fast for the gain. By the integrated equations, for a2/a1 up to 2.5 and angles up to 60 deg."""

@@ -8,7 +8,7 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from analysis.beam_modulation import BeamModulation, beam_modulation
+    from analysis.beam_swings import BeamModulation, beam_modulation
     from analysis.channel import ChannelResponse, correct_response
     from analysis.combine import combine_estimates
     from analysis.dead_band import DeadBand, find_dead_band, simulate_sweep
@@ -128,7 +128,7 @@ _HOMES = {
         "tilt_from_fast_runs",
     ),
     "analysis.several_rates": ("RatesFit", "RatesFlag", "fit_rate_ratios", "fit_rates"),
-    "analysis.beam_modulation": ("BeamModulation", "beam_modulation"),
+    "analysis.beam_swings": ("BeamModulation", "beam_modulation"),
     "analysis.single_beams": ("BeamsFit", "BeamsKnowledge", "fit_beams"),
 }
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from analysis.arrays import Complexes, Floats
-from analysis.beam_modulation import BeamModulation
+from analysis.beam_swings import BeamModulation
 from analysis.budget import (
     BenchKnowledge,
     Budget,

@@ -26,7 +26,7 @@ import numpy as np
 import scipy.special
 
 from analysis.arrays import NORMAL_95, Bools, Complexes, Floats, Indices, NoFit
-from analysis.beam_modulation import BeamModulation, BeamsFlag
+from analysis.beam_swings import BeamModulation, BeamsFlag
 from analysis.budget import SCALE_FACTOR_LIMIT, TABLE_RATE_LIMIT, BenchKnowledge, lowest_bandwidth
 from analysis.frequency_method import fit_frequencies
 from analysis.lockin_rate import size_interval

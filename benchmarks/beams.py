@@ -27,7 +27,7 @@ from scipy.integrate import solve_ivp
 
 from analysis import estimate_lock_in, fit_rates
 from analysis.arrays import Complexes, Floats, NoFit
-from analysis.beam_modulation import BeamModulation, BeamsFlag, beam_modulation
+from analysis.beam_swings import BeamModulation, BeamsFlag, beam_modulation
 from analysis.budget import (
     LOCK_IN_DRIFT_LIMIT,
     PHASE_CHANGE_LIMIT,

@@ -29,7 +29,7 @@ import scipy.special
 import scipy.stats
 
 from analysis.arrays import Complexes, Floats
-from analysis.beam_modulation import BeamsFlag
+from analysis.beam_swings import BeamsFlag
 from analysis.budget import (
     LOCK_IN_DRIFT_LIMIT,
     PHASE_CHANGE_LIMIT,

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from analysis.arrays import NORMAL_95, Complexes, Floats, Indices, NoFit, OneRateOnly, OutsideResponse
-from analysis.beam_modulation import BeamsFlag
+from analysis.beam_swings import BeamsFlag
 from analysis.budget import (
     CORNERS,
     BenchKnowledge,

@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from analysis.arrays import Bools, Floats, Indices, Ints
-from analysis.beam_modulation import BeamModulation
+from analysis.beam_swings import BeamModulation
 from analysis.budget import (
     LOWEST_GAIN_CORNER_HZ,
     SCALE_FACTOR_LIMIT,

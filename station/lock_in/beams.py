@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from analysis.arrays import Floats
-from analysis.beam_modulation import BeamModulation, beam_modulation
+from analysis.beam_swings import BeamModulation, beam_modulation
 from instrument import InstrumentError, Waveform
 from station.errors import StationError, UsageError
 from station.lock_in.estimate import MEASURE, Gathered

@@ -6,7 +6,7 @@ import numpy as np
 
 from analysis import FATAL, Flag, FrequencyFit, QuadratureFlag, RatesFit, RatesFlag, describe_flag, flag_names
 from analysis.arrays import NORMAL_95
-from analysis.beam_modulation import BeamsFlag
+from analysis.beam_swings import BeamsFlag
 from analysis.budget import Budget, BudgetInput
 from analysis.frequency_method import FrequencyFlag
 from analysis.lock_in_run import ScaleFactorCheck, SeveralRates, TableCheck

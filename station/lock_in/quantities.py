@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from analysis import RatesFit, RatesFlag, flag_names
-from analysis.beam_modulation import BeamsFlag
+from analysis.beam_swings import BeamsFlag
 from analysis.frequency_method import FrequencyFlag
 from analysis.lock_in_run import RateGroup
 from station.lock_in.evaluate import LockInEvaluation, describe_method

@@ -9,7 +9,7 @@ from laser_fields import integrated_fields
 
 from analysis import estimate_lock_in, fit_rates
 from analysis.arrays import NoFit
-from analysis.beam_modulation import BeamModulation, BeamsFlag, beam_modulation
+from analysis.beam_swings import BeamModulation, BeamsFlag, beam_modulation
 from analysis.budget import RecordShape
 from analysis.harmonics import fit_harmonics
 from analysis.plan import expected_beams_u

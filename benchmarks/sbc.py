@@ -6,8 +6,8 @@ nothing is; its records are made (beat, gain saturation, distortion, one pole, n
 test says with which chance, beside pull (rms of error over u) and coverage of the 95 % interval of all results but
 those that call themselves doubtful, whose share is told too.
 
-Backscatter may be 60 degrees apart and unequal up to twice. Runs with beams are those of `benchmarks.beams`: lasers
-with any coupling, integrated in time.
+Backscatter may be 60 degrees apart and unequal up to twice. Runs with beams are those of `benchmarks.beams`:
+lasers with any coupling, integrated in time.
 
 `--drift` lets phase and lock-in rate go by so much of their bounds (1) over each run. `--faults` takes runs with
 something wrong instead that nobody stated: of each kind how many miss without a word, by 1.96 and by 5 u.

@@ -129,7 +129,7 @@ def with_coupling(
     """The answer freed of what coupling without loss is expected to add to it, for a gain corner that is seen."""
     # An angle eps between the backscatter of the two beams makes WL too high by a part of c = (B_s/g_d)^2, B_s =
     # 2 pi K WL tan(eps/2), g_d a third of g_c (docs/several_rates.md), which no ratio shows. Every angle is
-    # as likely up to 60 degrees where all fits, and 120 where not (then parts are less known); beats weigh them.
+    # as likely up to 60 degrees where all fits, and 120 where not; beats and rates that are known weigh them.
     gain_time, u = float(fit.parameters[0, 3]), float(np.sqrt(fit.covariance[0, 3, 3]))
     if not gain_time > _SEEN * u:
         return said
@@ -138,9 +138,9 @@ def with_coupling(
     size = said.value * float(data.angular[0] / data.beat_rate[0]) * GAIN_OVER_DIFFERENCE * gain_time
     added = (size * np.tan(angles / 2)) ** 2
     weights = np.ones(_ANGLES) if by_beats is None else by_beats.likelihood(added)
-    parts = _PARTS if np.unique(np.sign(data.rate)).size == 2 else _IN_ONE_SENSE
-    parts = parts + (_BY_BEAT if data.reference == "beat" else 0.0)
-    parts = 2 * parts - 0.5 if failed else parts / (1 + _FADING * (data.angular.min() * gain_time) ** 2)
+    both, lag = np.unique(np.sign(data.rate)).size == 2, float(data.angular.min()) * gain_time
+    parts = (_PARTS if both else _IN_ONE_SENSE) + (_BY_BEAT if data.reference == "beat" else 0.0)
+    parts = 2 * parts - 0.5 if failed and lag > 0.5 else parts / (1 + _FADING * lag**2)
     shares = 1 / (1 + parts[:, np.newaxis] * added)
     mean, square = (float(np.average((shares**power).mean(axis=0), weights=weights)) for power in (1, 2))
     sd = math.sqrt(max(square - mean**2, 0.0))

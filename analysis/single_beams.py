@@ -603,9 +603,8 @@ class LaserFit:
             np.concatenate([self.parameters + steps, self.parameters[np.newaxis]])
         )[3]
         slopes = (np.array(moved) - sagnac) / np.diagonal(steps)[:, np.newaxis]
-        u = np.sqrt(np.maximum(np.einsum("ip,ij,jp->p", slopes, self.covariance, slopes) * widen, 0.0)) / (
-            2 * np.pi
-        )
+        variance = np.einsum("ip,ij,jp->p", slopes, self.covariance, slopes) * widen
+        u = np.sqrt(np.maximum(variance, 0.0)) / (2 * np.pi)
         return sagnac / (2 * np.pi), np.hypot(u, self.model.data.beat_u)  # what shifts the beat shifts it as much
 
 

@@ -504,7 +504,11 @@ def scale_linearity(runs: TableRuns, *, irreproducibility_ppm: float | None = No
     factors = _PPM * np.column_stack([shape[name] for name in terms]) @ of_terms
     power, spread = factors @ runs.mean, factors @ scatter_of_terms.mean_covariance() @ factors.T
     largest = _PPM * float(np.abs(curve @ runs.mean).max())
-    seen, wide = _largest_of(power, spread)
+    # the largest power, and by how much noise changes it in 95 % of all cases
+    values, vectors = np.linalg.eigh(spread)
+    draws = np.random.default_rng(0).normal(size=(_DRAWS, values.size)) * np.sqrt(np.maximum(values, 0.0))
+    seen = float(np.abs(power).max())
+    wide = float(np.quantile(np.abs(draws @ vectors.T).max(axis=1), 0.95))
     rms, low, high = _rms_of(power, spread, max(runs.mean.size - plain.shape[1] - len(terms), 1))
     return Linearity(
         chosen=tuple(name for name in terms if name in chosen),
@@ -541,14 +545,6 @@ def _rms_of(deviation: Floats, covariance: Floats, freedom: int) -> tuple[float,
     sizes = [max(power - noise, 0.0), *(scale * end for end in signal_interval(power / scale, own, freedom))]
     rms, low, high = (float(np.sqrt(size / deviation.size)) for size in sizes)
     return rms, low, high
-
-
-def _largest_of(deviation: Floats, covariance: Floats) -> tuple[float, float]:
-    """Largest deviation, and by how much noise changes it in 95 % of all cases."""
-    values, vectors = np.linalg.eigh(covariance)
-    draws = np.random.default_rng(0).normal(size=(_DRAWS, values.size)) * np.sqrt(np.maximum(values, 0.0))
-    largest = np.abs(draws @ vectors.T).max(axis=1)
-    return float(np.abs(deviation).max()), float(np.quantile(largest, 0.95))
 
 
 # --------------------

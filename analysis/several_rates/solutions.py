@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass
 
 import numpy as np
 import scipy.special
@@ -135,22 +135,29 @@ def with_coupling(
         return said
     doubtful = failed or (by_beats is not None and by_beats.significant)
     angles = (_LARGEST_ANGLE if doubtful else _USUAL_ANGLE) * (np.arange(_ANGLES) + 0.5) / _ANGLES
-    size = said.value * float(data.angular[0] / data.beat_rate[0]) * GAIN_OVER_DIFFERENCE * gain_time
+    two_pi_k = float(data.angular[0] / data.beat_rate[0])
+    size = two_pi_k * said.value * GAIN_OVER_DIFFERENCE * gain_time
     added = (size * np.tan(angles / 2)) ** 2
     weights = np.ones(_ANGLES) if by_beats is None else by_beats.likelihood(added)
-    both, lag = np.unique(np.sign(data.rate)).size == 2, float(data.angular.min()) * gain_time
-    parts = (_PARTS if both else _IN_ONE_SENSE) + (_BY_BEAT if data.reference == "beat" else 0.0)
-    parts = 2 * parts - 0.5 if failed and lag > 0.5 else parts / (1 + _FADING * lag**2)
-    shares = 1 / (1 + parts[:, np.newaxis] * added)
+    parts = _PARTS if np.unique(np.sign(data.rate)).size == 2 else _IN_ONE_SENSE
+    parts = parts + (_BY_BEAT if data.reference == "beat" else 0.0)
+    lag = float(data.angular.min()) * gain_time
+    parts = parts / (1 + 5 * lag**2) if lag < _SLOW_GAIN else 2 * parts - 0.5
+    more = parts[:, np.newaxis] * added
+    shares = np.where(more > 0, 1 / (1 + np.abs(more)), 1 - more)
     mean, square = (float(np.average((shares**power).mean(axis=0), weights=weights)) for power in (1, 2))
     sd = math.sqrt(max(square - mean**2, 0.0))
-    return widened(replace(said, value=mean * said.value, low=mean * said.low, high=mean * said.high), sd / mean)
+    others = tuple(
+        Alternative(*(mean * size for size in astuple(one)[:4]), *astuple(one)[4:]) for one in said.others
+    )
+    freed = RatesAnswer(mean * said.value, mean * said.u, mean * said.low, mean * said.high, others)
+    return widened(freed, sd / mean)
 
 
-_PARTS, _IN_ONE_SENSE, _BY_BEAT, _FADING = np.linspace(-0.5, 1.0, 31), np.linspace(-0.5, 3.0, 71), 0.5, 5.0
+_PARTS, _IN_ONE_SENSE, _BY_BEAT, _SLOW_GAIN = np.linspace(-0.5, 1.0, 31), np.linspace(-0.5, 3.0, 71), 0.5, 0.5
 """Parts of c by which WL comes out too high, 0.5 to 1 for equal beams, and less than nothing for unequal ones that
-are in phase; what is added where the beat, which they push, stands for the rate; and how that fades where the
-slowest beat is fast for the gain. By the integrated equations, for a2/a1 up to 2.5 and angles up to 60 deg."""
+are in phase; what is added where the beat, which they push, stands for the rate; and slowest beat over gain corner
+up to which they fade as known. By the integrated equations, for a2/a1 up to 2.5 and angles up to 60 deg."""
 
 
 def widened(said: RatesAnswer, share_u: float) -> RatesAnswer:
@@ -223,7 +230,7 @@ def minimum_volumes(possible: RatioFit) -> Floats:
 #
 #     df/f = B_s^2/[2 (w^2 + g_d^2)] = c g_d^2/[2 (w^2 + g_d^2)],      w = 2 pi f
 #
-# so rates that are known beside the beats tell how large c can be at most. An error that all rates share is one
+# so rates that are known beside the beats tell how large c is. An error that all rates share is one
 # factor of all beats, a rate that is there all the time (the earth's) goes as 1/W: both are fitted beside c
 
 

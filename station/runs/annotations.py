@@ -7,7 +7,7 @@ file is not opened for it: a measurement stays what it was, byte for byte.
 import getpass
 import json
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -157,12 +157,8 @@ def _remark(line: Mapping[str, Any]) -> Remark:
     if mark not in (*_MARKS, ""):
         raise ValueError("is no mark")
     at, by, note = (str(line.get(name, "")) for name in ("at", "by", "note"))
-    return Remark(at, by, note, tuple(_words(line, "tags")), tuple(_words(line, "untagged")), mark)
-
-
-def _words(line: Mapping[str, Any], name: str) -> Iterator[str]:
-    for word in line.get(name, ()):
-        yield str(word)
+    tags, untagged = (tuple(map(str, line.get(name, ()))) for name in ("tags", "untagged"))
+    return Remark(at, by, note, tags, untagged, mark)
 
 
 def _user() -> str:

@@ -26,12 +26,12 @@ def fitted(phase_sum, *, rates=RATES, corner=CORNER, steady=1e-5, reference="bea
 
 
 def test_beats_that_follow_the_rates_rule_coupling_out():
-    """Where nothing tests it, a fifth of (tan(30 deg) K WL/corner * 3)^2 = 1.3 % goes and counts."""
+    """Where nothing tests it, 60 deg count as much as (tan(30 deg) K WL/corner * 3)^2 = 1.3 % would, or nothing."""
     steady = fitted(0.0)
     assert steady.lock_in_rate_u < 0.0012 * WL
     assert abs(steady.lock_in_rate / WL - 1) < 0.005
     # beats scattered by 1 % about their rates tell nothing
-    assert fitted(0.0, steady=0.01).lock_in_rate_u > 0.002 * WL
+    assert fitted(0.0, steady=0.01).lock_in_rate_u > 0.007 * WL
 
 
 @pytest.mark.parametrize("reference", ["beat", "rate"])
@@ -89,7 +89,7 @@ def test_rates_that_come_from_the_beats_test_nothing():
     own = np.sign(given) * np.concatenate([one.input_rate for one in made])
     known, circular = (fit_rates(made, input_rate=rate, reference="beat") for rate in (given, own))
     assert abs(circular.lock_in_rate - known.lock_in_rate) < 1.2 * circular.lock_in_rate_u
-    assert known.lock_in_rate_u < 0.0015 * WL < 0.002 * WL < circular.lock_in_rate_u
+    assert known.lock_in_rate_u < 0.0015 * WL < 0.003 * WL < circular.lock_in_rate_u
 
 
 def test_a_wrong_scale_factor_is_no_coupling():

@@ -53,7 +53,7 @@ def test_slow_gain_near_lock_in_is_exact(corner, reference):
         rates, ratios, np.eye(2) * 1e-12, beats, scale_factor=K, reference=reference, model="both"
     )
     assert fit.gain_corner_hz == pytest.approx(corner, rel=1e-6)
-    assert fit.lock_in_rate == pytest.approx(WL, rel=3e-6)
+    assert fit.lock_in_rate == pytest.approx(WL, rel=1e-6)
     assert fit.backscatter_phase == pytest.approx(-0.4, abs=1e-6)
     assert abs(fit.distortion) < 1e-8 and fit.chi_square < 1e-3
 

@@ -26,7 +26,7 @@ def fitted(phase_sum, *, rates=RATES, corner=CORNER, steady=1e-5, reference="bea
 
 
 def test_beats_that_follow_the_rates_rule_coupling_out():
-    """Where nothing tests it, 60 deg count as much as (tan(30 deg) K WL/corner * 3)^2 = 1.3 % would, or nothing."""
+    """Where nothing tests it, up to (tan(30 deg) K WL/corner * 3)^2 = 1.3 % may be in the value: 60 deg."""
     steady = fitted(0.0)
     assert steady.lock_in_rate_u < 0.0012 * WL
     assert abs(steady.lock_in_rate / WL - 1) < 0.005

@@ -122,7 +122,10 @@ def estimate_lock_in(
     few = of_few_levels(stack.volts, beat.amplitude, fit.noise_rms, fewest_levels(beat, third, third_u))
     flags[few] |= Flag.FEW_LEVELS
     if full_amplitude is not None:
-        flags[is_weaker(beat, fit, full_amplitude, stack.n_samples)] |= Flag.AMPLITUDE_LOST
+        # the amplitude falls short by more than noise and the stability of a laser explain
+        amplitude_u = fit.noise_rms * np.sqrt(2 / stack.n_samples)
+        short = full_amplitude - beat.amplitude > np.maximum(LOSS * full_amplitude, 5 * amplitude_u)
+        flags[short] |= Flag.AMPLITUDE_LOST
     # a fit without bounds or without any error, as of a few samples of a slow curve
     flags[((flags & int(FATAL)) == 0) & ~(np.isfinite(value + value_u) & (value_u > 0))] |= Flag.NOT_LOCK_IN_LIKE
     fatal = (flags & int(FATAL)) != 0
@@ -439,12 +442,6 @@ MAINS_HZ = (50.0, 60.0)
 MAINS_WANDERS = 0.005  # share by which the frequency of the mains is off at most
 MAINS_ORDERS = 6  # harmonics of the mains that are strong enough to matter on a bench
 SMALL_RATIO = 0.02  # second harmonic over the fundamental up to which a beat at the mains may be hum
-
-
-def is_weaker(beat: Beat, fit: WaveformFit, full: Floats, n_samples: int) -> Bools:
-    """Where the amplitude falls short of `full` by more than noise and the stability of a laser explain."""
-    amplitude_u = fit.noise_rms * np.sqrt(2 / n_samples)
-    return np.asarray(full - beat.amplitude > np.maximum(LOSS * full, 5 * amplitude_u))
 
 
 # --------------------

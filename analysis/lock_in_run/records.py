@@ -164,7 +164,9 @@ def estimate_records(records: RecordArrays, method: Method) -> LockInEstimate:
 def by_themselves(each: LockInEstimate, response: ChannelResponse | None) -> LockInEstimate:
     """What records say that went through a channel, each by itself; it does not depend on the others."""
     beats = only_beats(each)
-    return beats if response is None else without_channel(beats, response)
+    if response is None:
+        return beats
+    return replace(correct_response(beats, response), noise_model=without_channel_model(beats))
 
 
 def only_beats(each: LockInEstimate) -> LockInEstimate:
@@ -177,11 +179,6 @@ def only_beats(each: LockInEstimate) -> LockInEstimate:
     withheld: dict[str, Any] = {name: np.where(pieces, np.nan, getattr(each, name)) for name in rates}
     flags = np.where(pieces, each.flags | int(Flag.NOT_LOCK_IN_LIKE), each.flags)
     return replace(each, flags=flags, **withheld)
-
-
-def without_channel(each: LockInEstimate, response: ChannelResponse) -> LockInEstimate:
-    """The estimates that the records would have given without the channel."""
-    return replace(correct_response(each, response), noise_model=without_channel_model(each))
 
 
 def without_channel_model(each: LockInEstimate) -> str:

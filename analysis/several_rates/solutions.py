@@ -140,9 +140,12 @@ def with_coupling(
     added = (size * np.tan(angles / 2)) ** 2
     weights = np.ones(_ANGLES) if by_beats is None else by_beats.likelihood(added)
     parts = _PARTS if np.unique(np.sign(data.rate)).size == 2 else _IN_ONE_SENSE
-    parts = parts + (_BY_BEAT if data.reference == "beat" else 0.0)
+    by_beat = _BY_BEAT if data.reference == "beat" else 0.0
     lag = float(data.angular.min()) * gain_time
-    parts = parts / (1 + 5 * lag**2) if lag < _SLOW_GAIN else 2 * parts - 0.5
+    if lag < _SLOW_GAIN:
+        parts = (parts + by_beat) / (1 + 5 * lag**2)
+    else:  # what equation (4) pushes fades, what else there is was not compared
+        parts = 2 * parts - 0.5 + by_beat / (1 + (GAIN_OVER_DIFFERENCE * lag) ** 2)
     more = parts[:, np.newaxis] * added
     shares = np.where(more > 0, 1 / (1 + np.abs(more)), 1 - more)
     mean, square = (float(np.average((shares**power).mean(axis=0), weights=weights)) for power in (1, 2))

@@ -133,7 +133,14 @@ class Exchange(ABC):
 
     def checked(self, text: str, *, parts: int) -> list[str]:
         """Send a message that ends with ``*ESR?``; return its other answers if no error bit is set."""
-        return self.repeated(lambda: self._checked_once(text, parts))
+
+        def once() -> list[str]:
+            *answers, register = self._ask_once(text, parts=parts + 1)
+            if self._register(register) & ERROR_BITS:
+                raise_errors(self._read_event_queue())
+            return answers
+
+        return self.repeated(once)
 
     def ask_with_events(self, text: str, *, parts: int, wait: float = 0.0) -> tuple[list[str], list[ScopeEvent]]:
         """As `ask`; besides, every event that the message caused, warnings too."""
@@ -149,12 +156,6 @@ class Exchange(ABC):
     def _with_events_once(self, text: str, parts: int, wait: float) -> tuple[list[str], list[ScopeEvent]]:
         *answers, register = self._ask_once(text, parts=parts + 1, wait=wait)
         return answers, self._read_event_queue() if self._register(register) & ERROR_BITS else []
-
-    def _checked_once(self, text: str, parts: int) -> list[str]:
-        *answers, register = self._ask_once(text, parts=parts + 1)
-        if self._register(register) & ERROR_BITS:
-            raise_errors(self._read_event_queue())
-        return answers
 
     def _ask_twice(self, text: str, parts: int | None, wait: float) -> list[str]:
         both = None if parts is None else 2 * parts

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy.special
 
-from analysis.arrays import Complexes, Floats, Ints
+from analysis.arrays import Complexes, Floats
 from analysis.flags import Flag
 from analysis.lockin_rate import LockInEstimate, rate_and_slopes, size_interval
 
@@ -78,7 +78,10 @@ def combine_estimates(estimates: LockInEstimate, input_rate: Floats | None = Non
     together = _coherent_mean(used)
     mean, rate_u, weights = together.mean, together.rate_u, together.weights
 
-    flags = _common_flags(used.flags)
+    flags = int(np.bitwise_or.reduce(used.flags)) & ~int(Flag.RATIO_NOT_SIGNIFICANT)
+    for bit in BY_CHANCE:
+        if np.count_nonzero(used.flags & int(bit)) <= max(2, BY_CHANCE_SHARE * len(used)) and len(used) > 2:
+            flags &= ~int(bit)
     value = float(np.sqrt(max(abs(mean) ** 2 - together.across_u**2, 0.0)))
     if not abs(mean) > 3.3 * rate_u:
         flags |= Flag.RATIO_NOT_SIGNIFICANT
@@ -155,14 +158,6 @@ def as_at_one_rate(beats: Floats, rate: Floats, lock_in_rate: float) -> Floats:
     """Beats as they would be if all known rates, deg/s, were the mean of their sizes."""
     above = np.sqrt(np.maximum(rate**2 - lock_in_rate**2, (0.01 * rate) ** 2))
     return np.asarray(beats * (above.mean() / above))
-
-
-def _common_flags(flags: Ints) -> int:
-    common = int(np.bitwise_or.reduce(flags)) & ~int(Flag.RATIO_NOT_SIGNIFICANT)
-    for bit in BY_CHANCE:
-        if np.count_nonzero(flags & int(bit)) <= max(2, BY_CHANCE_SHARE * flags.size) and flags.size > 2:
-            common &= ~int(bit)
-    return common
 
 
 @dataclass(frozen=True)

@@ -136,7 +136,10 @@ def estimate_lock_in(
     sense = np.where(rate < 0, -1.0, 1.0) if rate is not None else np.ones(beat.size.shape)
     own_rate = input_rate_from_beat(beat.ratio, beat.frequency / scale_factor)
     if rate is not None:
-        flags[~fatal & differs_from_beat(rate, own_rate, beat)] |= Flag.RATE_MISMATCH
+        r = beat.ratio
+        relative_u = np.hypot(beat.frequency_u / beat.frequency, 4 * r * beat.ratio_u / (1 - r**4))
+        differs = np.abs(np.abs(rate) / own_rate - 1) > np.maximum(5 * relative_u, RATE_ERROR)
+        flags[~fatal & differs] |= Flag.RATE_MISMATCH
     return LockInEstimate(
         lock_in_rate=shaped(value),
         lock_in_rate_u=shaped(value_u),
@@ -388,13 +391,6 @@ def _jacobian(first: Complexes, q: Complexes, hertz: float) -> Floats:
     squared = np.abs(first) ** 2
     jacobian[:, 2, 1], jacobian[:, 2, 2] = size * first.imag / squared, -size * first.real / squared
     return jacobian
-
-
-def differs_from_beat(rate: Floats, own_rate: Floats, beat: Beat) -> Bools:
-    """Whether a given rate (R,) is not that of beat and second harmonic, (f/K)(1 + r^2)/(1 - r^2)."""
-    r = beat.ratio
-    relative_u = np.hypot(beat.frequency_u / beat.frequency, 4 * r * beat.ratio_u / (1 - r**4))
-    return np.asarray(np.abs(np.abs(rate) / own_rate - 1) > np.maximum(5 * relative_u, RATE_ERROR))
 
 
 def beat_flags(beat: Beat, fit_flags: Ints, n_samples: int) -> Ints:

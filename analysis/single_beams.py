@@ -30,7 +30,7 @@ from analysis.beam_swings import BeamModulation, BeamsFlag
 from analysis.budget import SCALE_FACTOR_LIMIT, TABLE_RATE_LIMIT, BenchKnowledge, lowest_bandwidth
 from analysis.frequency_method import fit_frequencies
 from analysis.lockin_rate import size_interval
-from analysis.ring_laser.two_mode_laser import beat_phase, periodic_states, states_beside
+from analysis.ring_laser.two_mode_laser import lines_in_time, periodic_states, states_beside, steps_of_a_turn
 from analysis.several_rates import RatesFit, prior_of
 from analysis.several_rates.points import Points, gather, with_noise
 from analysis.several_rates.ratio_model import SENSES, RatioData, in_standard_uncertainties, nearest_series
@@ -102,7 +102,6 @@ class BeamsData:
 # The model: a periodic solution for every setting, seen by three receivers
 
 
-_FEWEST, _STEEP, _STEEPER = 33, 0.25, 0.5  # points of a turn, and ratios above which it takes twice as many
 _FAILED = 1e6  # in standard uncertainties, where there is no solution
 _DETOUR = (0.3, 0.6, 0.8, 0.9, 1.0)  # of the backscatter, on the way to all of it
 
@@ -131,11 +130,8 @@ class LaserModel:
 
     def __init__(self, data: BeamsData, near: LaserFit | None = None) -> None:
         self.data, some = data, data.points.points
-        steepest = float(np.max(np.abs(some.ratio)))
-        turns = 1 if steepest < _STEEP else 2 if steepest < _STEEPER else 4
-        self._sense = np.sign(some.rate)
-        self.states = np.zeros((some.rate.size, 2, (_FEWEST - 1) * turns + 1))
-        self.sagnac = self._sense * some.angular  # what was found last is where the next search begins
+        self.states = np.zeros((some.rate.size, 2, steps_of_a_turn(some.ratio)))
+        self.sagnac = np.sign(some.rate) * some.angular  # what was found last is where the next search begins
         self.softer = 1.0  # times as much noise as there is
         if near is not None:
             near.model.predicted(near.parameters[np.newaxis])  # leaves its states there
@@ -208,13 +204,7 @@ class LaserModel:
             values, sagnac = states_beside(lasers, last, at, sagnac, values, some.angular)
         else:
             values, sagnac = values[at], sagnac[at]
-        a1, a2, half = lasers.T[:3, :, np.newaxis]
-        psi = self._sense[at][:, np.newaxis] * 2 * np.pi * np.arange(n) / n
-        swap = np.exp((values[:, 0] - values[:, 1]) / 2)
-        speed = sagnac[:, np.newaxis] - a1 * swap * np.sin(psi - half) - a2 / swap * np.sin(psi + half)
-        turned, weight = beat_phase(psi, 1 / np.abs(speed))
-        powers = np.multiply.accumulate(np.tile(np.exp(-1j * turned), (n // 2, 1, 1)))
-        kernel = np.asarray(np.moveaxis(powers, 0, 1) * (2 * weight / n)[:, np.newaxis], np.complex128)
+        psi, kernel, _ = lines_in_time(lasers, sagnac, values, n // 2)
         return _Light(psi, np.exp(values), kernel, sagnac, found[at], back.ravel())
 
     def _lines(self, parameters: Floats, readout: Floats, light: _Light) -> Complexes:

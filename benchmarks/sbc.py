@@ -6,7 +6,7 @@ nothing is; its records are made (beat, gain saturation, distortion, one pole, n
 test says with which chance, beside pull (rms of error over u) and coverage of the 95 % interval of all results but
 those that call themselves doubtful, whose share is told too.
 
-Backscatter may be 60 degrees apart and unequal up to twice. Runs with beams are those of `benchmarks.beams`:
+Backscatter may be 60 degrees apart and unequal up to 2.5 times. Runs with beams are those of `benchmarks.beams`:
 lasers with any coupling, integrated in time.
 
 `--drift` lets phase and lock-in rate go by so much of their bounds (1) over each run. `--faults` takes runs with
@@ -46,6 +46,7 @@ from analysis.flags import DOUBTFUL
 from analysis.lock_in_run import AxisRates, Batch, Method, RecordArrays, RunArrays, RunKnowledge, evaluate
 from analysis.plan import default_rates, off_mains, run_order
 from analysis.ring_laser import Detector, Gyro, Winking, detector_signal
+from analysis.several_rates.solutions import BACKSCATTER
 from benchmarks import beams
 
 K, WL, SAMPLES, PERIODS, HUM_HZ = 2000.0, 0.01, 2500, 20.3, 50.0
@@ -171,7 +172,7 @@ def outcome(plan: Plan, drift: float, fault: Fault | None, seed: int) -> Outcome
     between = between if fault.between is None else _either(rng, fault.between)
     grows = drift * LOCK_IN_DRIFT_LIMIT * rng.uniform(-1, 1) + _either(rng, fault.grows)
     start, readout = rng.uniform(0, 2 * np.pi, 2)
-    unequal = math.radians(60) * rng.uniform(-1, 1), rng.uniform(0.4, 0.6), math.exp(rng.uniform(-0.7, 0.7))
+    angle, logarithm, saturation = rng.uniform(*BACKSCATTER)
     receiver = Detector(start, second_order=2 * second, third_order=4 * third)
     channel: Channel = fault.channel(rng) if fault.channel else _one_pole(pole)
     hums = [_either(rng, fault.hum) * np.exp(2j * np.pi * rng.uniform()) for _ in range(6)]
@@ -194,7 +195,7 @@ def outcome(plan: Plan, drift: float, fault: Fault | None, seed: int) -> Outcome
                 records.append(records[-1])
                 continue
             then = WL * (1 + grows * when[row])
-            winking = Winking(true_k, then, gain_hz, *unequal)
+            winking = Winking(true_k, then, gain_hz, angle, saturation, math.exp(logarithm))
             factor = float(winking.frequency_factor(np.array([abs(rate)]))[0])
             beat = true_k * math.sqrt(rate**2 - then**2) * factor
             level = LEVEL * abs(channel(np.array([beat]))[0])  # what is weaker behind the channel is shown larger

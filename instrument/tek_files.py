@@ -84,7 +84,9 @@ def read_tek_file(path: str | os.PathLike[str]) -> TekFile:
 def _parsed(file: Path, content: bytes) -> tuple[Waveform, str, dict[str, str]]:
     if content[:64].lstrip().upper().startswith((b":WFMP", b"WFMP")):
         return parse_isf(content), "isf", {}
-    if is_curve(content):
+    start = content.lstrip()[:32].upper()
+    start = start.removeprefix(b":").removeprefix(b"CURVE").removeprefix(b"CURV").lstrip()
+    if start[:1] == b"#" and start[1:2].isdigit():  # the binary block of CURVe?
         preamble = file.with_suffix(PREAMBLE_ENDING)
         if not preamble.is_file():
             raise FileFormatError(
@@ -165,13 +167,6 @@ _ANSWER = re.compile(
     rb"\s*([12];(?:8|16);(?:ASC|BIN)[^;]*;R[IP];[ML]SB;\d+;\"[^\"]*\"(?:;[^;\r\n#]*){9})", re.IGNORECASE
 )
 """The sixteen fields of a preamble without headers."""
-
-
-def is_curve(content: bytes) -> bool:
-    """Whether a file begins with the binary block of ``CURVe?``."""
-    start = content.lstrip()[:32].upper()
-    start = start.removeprefix(b":").removeprefix(b"CURVE").removeprefix(b"CURV").lstrip()
-    return start[:1] == b"#" and start[1:2].isdigit()
 
 
 def _curve_position(content: bytes) -> int:

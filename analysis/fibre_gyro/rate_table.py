@@ -465,14 +465,11 @@ def scale_linearity(runs: TableRuns, *, irreproducibility_ppm: float | None = No
     columns = _columns(rate, full)
     plain = design_of(runs)
 
-    def scatter_with(names: tuple[str, ...]) -> tuple[Floats, RunScatter]:
+    def values_of(names: tuple[str, ...]) -> tuple[dict[str, tuple[float, float]], Floats, RunScatter]:
         design = with_drift(np.column_stack([plain, *(columns[name] for name in names)]), runs.at_s)
-        return design, find_run_scatter(
+        scatter = find_run_scatter(
             design, runs.mean, runs.mean_u, stated, slow=runs.slow, by_model=runs.slow is not None
         )
-
-    def values_of(names: tuple[str, ...]) -> tuple[dict[str, tuple[float, float]], Floats, RunScatter]:
-        design, scatter = scatter_with(names)
         estimator = scatter.estimator(design)
         k = float(estimator[0] @ runs.mean)
         rows = estimator[plain.shape[1] : plain.shape[1] + len(names)] / k

@@ -9,7 +9,6 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Self
 
 import numpy as np
 from numpy.polynomial import chebyshev
@@ -59,10 +58,6 @@ class Detector:
     def filtered(self) -> bool:
         """Whether anything in it depends on the frequency."""
         return self.low_pass_hz > 0 or self.ac_corner_hz > 0 or self.coupling_hz > 0
-
-    def without_filters(self) -> Self:
-        """The same detector with an amplifier for all frequencies."""
-        return replace(self, low_pass_hz=0.0, ac_corner_hz=0.0, coupling_hz=0.0) if self.filtered else self
 
     def volts(self, fringe: Complexes, backscatter_phase: float, light: Floats | float = 1.0) -> Floats:
         """Signal before any filter, V, for exp(i (phi + beta)), and the light of the beam that it may look at."""
@@ -246,7 +241,8 @@ def beat_signal_on_table(gyro: Gyro, detector: Detector, motion: Sequence[RateMo
         seen_by = (gyro, detector)
         if segments[number].acceleration_dps2 != 0.0:
             # nobody measures in a slew, and its rates are too many to work out all of their beats
-            seen_by = (gyro.without_winking(), detector.without_filters())
+            all_pass = replace(detector, low_pass_hz=0.0, ac_corner_hz=0.0, coupling_hz=0.0)
+            seen_by = (gyro.without_winking(), all_pass)
         volts[inside] = detector_signal(*seen_by, rates, phases)
     return np.asarray(volts * detector.swing(times)) if detector.pump_ripple else volts
 

@@ -217,6 +217,12 @@ def periodic_states(
     return values, sagnac, found & (size < CONVERGED)
 
 
+def steps_of_a_turn(ratios: Complexes) -> int:
+    """Steps of the phase that solutions with these second harmonics over their fundamentals take."""
+    steepest = float(np.max(np.abs(ratios)))
+    return 1 + (FEWEST - 1) * (1 if steepest < 0.25 else 2 if steepest < 0.5 else 4)
+
+
 def states_beside(
     lasers: Floats, known: Floats, of: Indices, sagnac: Floats, values: Floats, angular: Floats
 ) -> tuple[Floats, Floats]:
@@ -229,6 +235,21 @@ def states_beside(
     missing = _newton(lasers, sagnac[of], values[of], angular[of], slopes=False)[0]
     step = (inverse[of] @ missing[..., np.newaxis])[..., 0]
     return _stepped(values[of], sagnac[of], step, angular[of])
+
+
+def lines_in_time(lasers: Floats, sagnac: Floats, values: Floats, count: int) -> tuple[Floats, Complexes, Floats]:
+    """Of solutions of :func:`periodic_states`: phases (B, n), the lines of what is seen there, beats in rad/s.
+
+    A signal x (B, n) at these phases is Re sum c_m exp(i m w t), c_m = sum_k x_k lines_mk; lines (B, count, n).
+    """
+    n, (a1, a2, half) = values.shape[-1], lasers.T[:3, :, np.newaxis]
+    psi = np.sign(sagnac)[:, np.newaxis] * _phases(n, 1.0)
+    swap = np.exp((values[:, 0] - values[:, 1]) / 2)
+    speed = sagnac[:, np.newaxis] - a1 * swap * np.sin(psi - half) - a2 / swap * np.sin(psi + half)
+    turned, weight = beat_phase(psi, 1 / np.abs(speed))
+    powers = np.multiply.accumulate(np.tile(np.exp(-1j * turned), (count, 1, 1)))
+    lines = np.asarray(np.moveaxis(powers, 0, 1) * (2 * weight / n)[:, np.newaxis], np.complex128)
+    return psi, lines, 1 / np.mean(1 / np.abs(speed), axis=1)
 
 
 def _stepped(values: Floats, sagnac: Floats, step: Floats, angular: Floats | None) -> tuple[Floats, Floats]:

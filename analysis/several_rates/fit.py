@@ -57,7 +57,6 @@ from analysis.several_rates.solutions import (
     answer,
     beats_of_rates,
     by_profile,
-    coupling_seen,
     largest_possible,
     lock_in_u,
     minimum_volumes,
@@ -406,15 +405,14 @@ def _result(
         said = over_gain_times(said, found, points.points, prior, widen)
     mismatch = rate_mismatch(records, said.value, float(fit.parameters[0, DRIFT]))
     common, differ = _rates_differ(points.records, said, mismatch, bool(np.ptp(points.rate_group)))
-    coupling = None
+    beats = None
     if said.value > 0 and not records.rate_of_beat:
-        beats = beats_of_rates(points, mismatch, said.value, float(fit.parameters[0, 3]))
-        coupling = coupling_seen(beats, said.u / said.value)
+        beats = beats_of_rates(points, mismatch, said.value, said.u / said.value)
     failed = p_value < UNLIKELY
     if differ and (failed or _left_over(points.points, prior, points.settings) <= 0) and not records.rate_of_beat:
         said = widened(said, _by_other_reference(points.points, said.value, common) / math.sqrt(3))
     said = widened(said, _OF_ALL * points.uneven / math.sqrt(3))
-    said = with_coupling(said, fit, points.points, failed=failed or differ, by_beats=coupling)
+    said = with_coupling(said, fit, points.points, prior, widen, doubtful=failed or differ, beats=beats)
     us, fitted = np.sqrt(np.diagonal(covariance)), np.where([True, True, *FREE[chosen]], 1.0, np.nan)
     rates = np.abs(records.rate[records.locked])
     possible = rates[rates <= said.high]

@@ -124,7 +124,8 @@ def predicted(parameters: Floats, data: RatioData) -> tuple[Complexes, Floats]:
     lag = data.angular**2 * lag_square
     amplitude = data.amplitude * np.sqrt(1 + np.maximum(lag, 0.0))  # before the pole
     size = third_order * amplitude**2
-    distorted = own + distortion * amplitude * (1 - share - 2j * own * own.imag) + size * by_cubic_law(own)
+    cubic = 2j * own * (own**2).imag - (1 - share) * np.conj(own)
+    distorted = own + distortion * amplitude * (1 - share - 2j * own * own.imag) + size * cubic
     ratio = distorted * low_pass_factor(share, lag)
     x = 1j * np.sqrt(np.abs(lag))
     passed = (1 + x) ** 3 / ((1 + 3 * x) * np.abs(1 + x) ** 2)
@@ -144,11 +145,7 @@ def ratio_of_light(parameters: Floats, data: RatioData) -> Complexes:
 
 def _of_fast_gain(parameters: Floats, data: RatioData) -> tuple[Complexes, Floats]:
     """q of equation (1), and 2 pi f T, (B, n)."""
-    z = (parameters[..., 0] + 1j * parameters[..., 1])[..., np.newaxis]
-    gain_time = parameters[..., 3, np.newaxis]
-    between, even, bent, drift = (parameters[..., k, np.newaxis] for k in range(6, N_PARAMETERS))
-    turned = between * np.sign(data.rate) / 2 + even * data.when + bent * (6 * data.when**2 - 0.5)
-    z = z * (1 + drift * data.when) * np.exp(1j * turned)
+    z, gain_time = lock_in_at(parameters, data), parameters[..., 3, np.newaxis]
     square = np.abs(z) ** 2
     if data.reference == "beat":
         per_rate = 1 / (data.beat_rate + np.sqrt(data.beat_rate**2 + square))
@@ -158,6 +155,14 @@ def _of_fast_gain(parameters: Floats, data: RatioData) -> tuple[Complexes, Float
         per_rate = 1 / (rate + np.sqrt((rate - np.sqrt(square)) * (rate + np.sqrt(square))))
     fast = np.where(data.rate > 0, -z, np.conj(z)) * per_rate
     return np.asarray(fast), np.asarray(data.angular * gain_time)
+
+
+def lock_in_at(parameters: Floats, data: RatioData) -> Complexes:
+    """WL e^(i b) at every point, equation (2), but for the conjugate of the negative sense: (B, n), deg/s."""
+    z = (parameters[..., 0] + 1j * parameters[..., 1])[..., np.newaxis]
+    between, even, bent, drift = (parameters[..., k, np.newaxis] for k in range(6, N_PARAMETERS))
+    turned = between * np.sign(data.rate) / 2 + even * data.when + bent * (6 * data.when**2 - 0.5)
+    return np.asarray(z * (1 + drift * data.when) * np.exp(1j * turned))
 
 
 _LARGEST_SQUARE = 0.99
@@ -188,12 +193,6 @@ def low_pass_factor(square: Floats, lag: Floats) -> Complexes:
     of_first = (1 + 4 * square + square**2 - square * (7 + 10 * square + square**2)) / rest**3
     later = (2 * np.arctan(x) - np.arctan(2 * x)) * (moments - of_first) / 6
     return np.asarray(np.exp(np.sign(lag) * (weaker + 1j * later)))
-
-
-def by_cubic_law(own: Complexes) -> Complexes:
-    """What a cubic law adds to rho0, over H, to first order: the last bracket of equation (1)."""
-    share = np.minimum(np.abs(own) ** 2, _LARGEST_SQUARE)
-    return np.asarray(2j * own * (own**2).imag - (1 - share) * np.conj(own))
 
 
 def beyond_first_order(parameters: Floats, data: RatioData) -> tuple[Complexes, Floats]:
@@ -414,7 +413,7 @@ def _finished(found: _Linearised) -> RatioFit:
     return RatioFit(found.point, covariance, found.cost, eigenvalues[:, 0] < SINGULAR)
 
 
-def _residual(parameters: Floats, data: RatioData, prior: Prior) -> Floats:
+def residual(parameters: Floats, data: RatioData, prior: Prior) -> Floats:
     """Whitened residuals of ratios, third harmonics and of what is known beforehand, (B, 3n + known)."""
     ratios, thirds = whitened(parameters, data)
     known = np.isfinite(prior.sd) & (prior.sd > 0)
@@ -457,7 +456,7 @@ def _linearised(point: Floats, data: RatioData, prior: Prior, held: Floats | Non
     """Normal matrix scaled to a unit diagonal, gradient in the same units, and the units (B, ways)."""
     ways = _ways(point, data, np.flatnonzero(prior.sd > 0), held)
     shift = 1e-5 * ways
-    both = _residual(np.concatenate([point - shift, point + shift, point[np.newaxis]]), data, prior)
+    both = residual(np.concatenate([point - shift, point + shift, point[np.newaxis]]), data, prior)
     jacobian = np.moveaxis(both[: len(ways)] - both[len(ways) : -1], 0, -1) / 2e-5
     size = np.linalg.norm(jacobian, axis=1)
     size = np.where(size > 0, size, 1.0)
@@ -479,7 +478,7 @@ def _starts(data: RatioData, prior: Prior) -> Floats:
     flat = grid.reshape(-1, N_PARAMETERS)
     if prior.sd[2] > 0:
         flat[:, 2] = _best_distortion(flat, data, prior)
-    cost = np.asarray(np.sum(_residual(flat, data, prior) ** 2, axis=-1)).reshape(size.shape)
+    cost = np.asarray(np.sum(residual(flat, data, prior) ** 2, axis=-1)).reshape(size.shape)
     best = cost.argmin(axis=-1)
     lowest = np.take_along_axis(cost, best[..., np.newaxis], axis=-1)[..., 0]
     # a valley may be narrower than the steps of the map: the best phase of every size is a start too
@@ -505,8 +504,8 @@ def _best_distortion(points: Floats, data: RatioData, prior: Prior) -> Floats:
     """D for every point of a grid, the other parameters given: the model is linear in it."""
     with_one = points.copy()
     with_one[:, 2] = 1.0
-    at_zero = _residual(points, data, prior)
-    column = at_zero - _residual(with_one, data, prior)
+    at_zero = residual(points, data, prior)
+    column = at_zero - residual(with_one, data, prior)
     return np.asarray(np.vecdot(column, at_zero) / np.maximum(np.vecdot(column, column), 1e-300))
 
 

@@ -4,15 +4,27 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import astuple, dataclass
+from dataclasses import astuple, dataclass, replace
 
 import numpy as np
 import scipy.special
 
-from analysis.arrays import NORMAL_95, Floats
+from analysis.arrays import NORMAL_95, Bools, Complexes, Floats
 from analysis.lockin_rate import size_interval
+from analysis.ring_laser.two_mode_laser import lines_in_time, periodic_states, steps_of_a_turn
 from analysis.several_rates.points import Points
-from analysis.several_rates.ratio_model import N_PARAMETERS, PHASES, Prior, RatioData, RatioFit, profile
+from analysis.several_rates.ratio_model import (
+    N_PARAMETERS,
+    PHASES,
+    Prior,
+    RatioData,
+    RatioFit,
+    fit_ratios,
+    lock_in_at,
+    profile,
+    ratio_of_light,
+    residual,
+)
 from analysis.several_rates.result import Alternative
 
 POSSIBLE = 9.0
@@ -123,46 +135,6 @@ def _ends(height: Callable[[Floats], Floats], sizes: Floats, allowed: float) -> 
 _REFINEMENTS, _FINER = 1, 6
 
 
-def with_coupling(
-    said: RatesAnswer, fit: RatioFit, data: RatioData, *, failed: bool, by_beats: CouplingSeen | None
-) -> RatesAnswer:
-    """The answer freed of what coupling without loss is expected to add to it, for a gain corner that is seen."""
-    # An angle eps between the backscatter of the two beams makes WL too high by a part of c = (B_s/g_d)^2, B_s =
-    # 2 pi K WL tan(eps/2), g_d a third of g_c (docs/several_rates.md), which no ratio shows. Every angle is
-    # as likely up to 60 degrees where all fits, and 120 where not; beats and rates that are known weigh them.
-    gain_time, u = float(fit.parameters[0, 3]), float(np.sqrt(fit.covariance[0, 3, 3]))
-    if not gain_time > _SEEN * u:
-        return said
-    doubtful = failed or (by_beats is not None and by_beats.significant)
-    angles = (_LARGEST_ANGLE if doubtful else _USUAL_ANGLE) * (np.arange(_ANGLES) + 0.5) / _ANGLES
-    two_pi_k = float(data.angular[0] / data.beat_rate[0])
-    size = two_pi_k * said.value * GAIN_OVER_DIFFERENCE * gain_time
-    added = (size * np.tan(angles / 2)) ** 2
-    weights = np.ones(_ANGLES) if by_beats is None else by_beats.likelihood(added)
-    parts = _PARTS if np.unique(np.sign(data.rate)).size == 2 else _IN_ONE_SENSE
-    by_beat = _BY_BEAT if data.reference == "beat" else 0.0
-    lag = float(data.angular.min()) * gain_time
-    if lag < _SLOW_GAIN:
-        parts = (parts + by_beat) / (1 + 5 * lag**2)
-    else:  # what equation (4) pushes fades, what else there is was not compared
-        parts = 2 * parts - 0.5 + by_beat / (1 + (GAIN_OVER_DIFFERENCE * lag) ** 2)
-    more = parts[:, np.newaxis] * added
-    shares = np.where(more > 0, 1 / (1 + np.abs(more)), 1 - more)
-    mean, square = (float(np.average((shares**power).mean(axis=0), weights=weights)) for power in (1, 2))
-    sd = math.sqrt(max(square - mean**2, 0.0))
-    others = tuple(
-        Alternative(*(mean * size for size in astuple(one)[:4]), *astuple(one)[4:]) for one in said.others
-    )
-    freed = RatesAnswer(mean * said.value, mean * said.u, mean * said.low, mean * said.high, others)
-    return widened(freed, sd / mean)
-
-
-_PARTS, _IN_ONE_SENSE, _BY_BEAT, _SLOW_GAIN = np.linspace(-0.5, 1.0, 31), np.linspace(-0.5, 3.0, 71), 0.5, 0.5
-"""Parts of c by which WL comes out too high, 0.5 to 1 for equal beams, and less than nothing for unequal ones that
-are in phase; what is added where the beat, which they push, stands for the rate; and slowest beat over gain corner
-up to which they fade as known. By the integrated equations, for a2/a1 up to 2.5 and angles up to 60 deg."""
-
-
 def widened(said: RatesAnswer, share_u: float) -> RatesAnswer:
     """The answer with one more unknown beside what it counts, of standard deviation `share_u` of its value."""
     extra = share_u * said.value
@@ -170,11 +142,6 @@ def widened(said: RatesAnswer, share_u: float) -> RatesAnswer:
     low = said.value - math.hypot(said.value - said.low, reach)
     high = said.value + math.hypot(said.high - said.value, reach)
     return RatesAnswer(said.value, math.hypot(said.u, extra), max(low, 0.0), high, said.others)
-
-
-_SEEN = 3.3
-_LARGEST_ANGLE, _USUAL_ANGLE, _ANGLES = math.radians(120.0), math.radians(60.0), 500
-"""Largest angles between the backscatter of the beams, and how many of each are tried."""
 
 
 def polar_covariance(fit: RatioFit) -> Floats:
@@ -225,95 +192,186 @@ def minimum_volumes(possible: RatioFit) -> Floats:
 
 
 # --------------------
-# Coupling of the beams without loss, as beats and rates show it together.
+# Backscatter of the beams that is unequal, or whose phases do not add up to zero.
 #
-# Backscatter of the two beams whose phases do not add up to zero has a part B_s that takes no energy. It makes the
-# lock-in rate that the ratios show too high by c = (B_s/g_d)^2, g_d the rate at which the difference of the beams
-# relaxes, and no ratio shows it. But it pushes the beat up, equation (4) of docs/several_rates.md:
+# It shows in the harmonics as another lock-in rate, by shares of c = (B_s/g_d)^2: B_s the part of the backscatter
+# that takes no energy, g_d the rate at which the difference of the beams relaxes. And it pushes the beat up,
+# equation (4) of docs/several_rates.md:
 #
 #     df/f = B_s^2/[2 (w^2 + g_d^2)] = c g_d^2/[2 (w^2 + g_d^2)],      w = 2 pi f
 #
-# so rates that are known beside the beats tell how large c is. An error that all rates share is one
-# factor of all beats, a rate that is there all the time (the earth's) goes as 1/W: both are fitted beside c
+# Equation (1) has neither. So lasers with backscatter of every kind are tried: each adds to the ratios what the
+# equations of a two-mode laser say, and the records freed of it are fitted again. What 48 of them leave of ratios
+# and beats is a smooth function of the laser, which gives it for 5000 others. The answer is their mean, each
+# weighed by how likely it makes all data; where few share the weight, these are looked at closer. Beats may have
+# in common a factor (the scale factor), and a part that goes as 1/W (a rate that is always there: the earth's)
 
-
-GAIN_OVER_DIFFERENCE = 3.0  # g_c/g_d, for a cross saturation of half the self saturation
 
 LEAST_U = 1e-6
 """Of a beat over its rate: no table turns more steadily from one rate to the next, whatever its display says."""
 
+BACKSCATTER = np.array([[-math.radians(60.0), -math.log(2.5), 0.35], [math.radians(60.0), math.log(2.5), 0.65]])
+"""Between which a laser usually is: sum of the phases, rad; logarithm of a2/a1; cross over self saturation."""
 
-@dataclass(frozen=True)
-class CouplingSeen:
-    """c = (B_s/g_d)^2, its standard uncertainty, and how many of these 95 % allow."""
-
-    share: float
-    u: float
-    reach: float
-
-    @property
-    def significant(self) -> bool:
-        """Whether it is more than chance makes of no coupling."""
-        return abs(self.share) > 1.7 * self.reach * self.u
-
-    def likelihood(self, shares: Floats) -> Floats:
-        """How likely the beats make these c (n,); where c surely seems negative the rates are wrong by as much."""
-        wrong = max(-self.share - self.reach * self.u, 0.0)
-        u = math.hypot(self.u * self.reach / NORMAL_95, wrong)
-        off = ((shares - max(self.share, 0.0)) / u) ** 2
-        return np.asarray(np.exp(-0.5 * (off - off.min())))
+_SEEN = 3.3  # standard uncertainties of a gain time that is known well enough to say what coupling does
+_BEYOND = np.array([[-0.8, -0.7, -0.2], [0.8, 0.7, 0.2]])  # three standard deviations of what is unusual
+_DOUBTFUL = np.array([1.5, 1.0, 1.0])  # times as large an angle where records misfit
+_LASERS, _ENOUGH, _MANY, _LOOKS = 48, 36, 5000, 8  # integrated, with a beat at least, all; how often
+_LEAST_NUMBER, _NEARLY = 50.0, 0.4  # of lasers that share the weight; power of the likelihood that will do
+_MIDDLES, _NARROWER = 100, 0.25  # bells that the next ones are drawn from, and their width over that of all
+_ALIKE, _SHORTEST = 1e-6, 1e-12  # unknowns that beats do not tell apart; a gain time, s
+_STATED = 4  # degrees of freedom of uncertainties stated
+_EVEN = np.array([0.8191725134, 0.6710436067, 0.5497004779])  # steps that fill a cube evenly
+_POWERS = 0.5 * 0.7 ** np.arange(60)  # of the likelihood: data hold more than lasers and noise
 
 
-def coupling_seen(beats: Floats, lock_in_u: float) -> CouplingSeen | None:
-    """Coupling without loss by beats at several rates; ``None`` where rates and beats do not determine it."""
-    total = beats[0]
-    if total.size == 0:
-        return None
-    seen, pulled, slowness, drift = beats[1:] / total
-    pushed = 0.5 / (1 + (GAIN_OVER_DIFFERENCE * slowness) ** 2)
-    columns = np.stack([pushed + pulled, np.ones(total.size), drift / np.abs(drift).max(), pulled], axis=-1)
-    free = total.size - columns.shape[1] + 1
-    if free < 1:
-        return None
-    # that WL is known from elsewhere is one more value
-    white = np.concatenate([columns * np.sqrt(total)[:, np.newaxis], [[0.0, 0.0, 0.0, 1 / lock_in_u]]])
-    aim = np.append(seen * np.sqrt(total), 0.0)
-    size = np.linalg.norm(white, axis=0)
-    scaled = white / size
-    if np.linalg.cond(scaled) > _ALIKE:
-        return None
-    inverse = np.linalg.inv(scaled.T @ scaled)
-    found = inverse @ (scaled.T @ aim)
-    left = aim - scaled @ found
-    scatter = max(float(left @ left) / free, 1.0)
-    u = float(np.sqrt(inverse[0, 0] * scatter)) / size[0]
-    # what each beat is known to was stated, and is good for as much as some more beats would tell of it
-    return CouplingSeen(float(found[0] / size[0]), u, float(scipy.special.stdtrit(free + _STATED, 0.975)))
-
-
-def said_by_beats(rate: Floats, mismatch: Floats, mismatch_u: Floats, square: Floats, slowness: Floats) -> Floats:
-    """What n records with a beat say: their weights, and weighted values that are to be added up, (5, n)."""
-    weights = 1 / (mismatch_u**2 + LEAST_U**2)
-    return np.asarray(
-        weights * np.stack([np.ones_like(rate), mismatch, square / (1 - square), slowness, 1 / rate])
+def with_coupling(
+    said: RatesAnswer,
+    fit: RatioFit,
+    data: RatioData,
+    prior: Prior,
+    widen: float,
+    *,
+    doubtful: bool,
+    beats: tuple[Floats, Floats, Floats] | None,
+) -> RatesAnswer:
+    """The answer freed of what unequal or turned backscatter adds to it, for a gain corner that is seen."""
+    gain_time, gain_time_u = float(fit.parameters[0, 3]), float(np.sqrt(fit.covariance[0, 3, 3]))
+    size = math.hypot(*fit.parameters[0, :2])
+    if not (gain_time > _SEEN * gain_time_u and size > 0):
+        return said
+    usual, mean, sd = BACKSCATTER * (_DOUBTFUL if doubtful else 1.0), 1.0, 0.0
+    box, at, rng, density, before = usual + _BEYOND, fit.parameters, np.random.default_rng(0), np.ones(_MANY), 0.0
+    many = box[0] + (np.arange(1, 1 + _MANY)[:, np.newaxis] * _EVEN) % 1 * np.ptp(box, axis=0)
+    for _ in range(_LOOKS):
+        lasers = many[:_LASERS]
+        ratio, push, found = ratios_of_lasers(at, lasers, data)
+        if found.sum() <= _ENOUGH:  # who would be locked at a rate with a beat is none of these
+            many = many * [0.5, 0.5, 1.0]
+            continue
+        freed = replace(data, ratio=data.ratio - ratio[found] + ratio_of_light(at, data))
+        fits = fit_ratios(freed, prior, np.repeat(at, found.sum(), axis=0))
+        shares = np.hypot(fits.parameters[:, 0], fits.parameters[:, 1]) / size
+        each = [np.log(shares)[:, np.newaxis], residual(fits.parameters, freed, prior) / math.sqrt(widen)]
+        if beats is not None:
+            seen, by_push, by_lock_in = beats
+            each.append(seen - push[found] @ by_push + np.outer(shares**2 - 1, by_lock_in))
+        seen, ways = np.concatenate(each, axis=1), _powers_of(lasers[found])
+        square = np.sum(seen[:, 1:] ** 2, axis=1)
+        near = 1 / (1 + (square - square.min())[:, np.newaxis] / seen.shape[1])  # to the likely ones
+        smooth = np.linalg.lstsq(near * ways, near * seen, rcond=None)[0]
+        rough = float(np.sum((near * (seen - ways @ smooth))[:, 1:] ** 2)) / (found.sum() - ways.shape[1])
+        seen = _powers_of(many) @ smooth
+        unusual = np.sum(((many - np.clip(many, *usual)) / _BEYOND[1] * 3) ** 2, axis=1)
+        shares = np.exp(np.clip(seen[:, 0], *np.log([shares.min(), shares.max()])))
+        power, weights = _weights(seen[:, 1:], each[1].shape[1], rough, unusual, density)
+        if power < before:
+            break
+        before = power
+        mean = float(np.average(shares, weights=weights))
+        sd = math.sqrt(float(np.average((shares - mean) ** 2, weights=weights)))
+        if power > _NEARLY:
+            break
+        along = np.linalg.lstsq(near * ways, near * fits.parameters, rcond=None)[0]
+        at = np.average(_powers_of(many) @ along, axis=0, weights=weights)
+        at = np.clip(at, fits.parameters.min(axis=0), fits.parameters.max(axis=0))[np.newaxis]
+        # the next ones lie about likely ones
+        middles = many[rng.choice(_MANY, _MIDDLES, p=weights / weights.sum())]
+        spread = np.linalg.cholesky(_NARROWER**2 * np.cov(many.T, aweights=weights) + 1e-14 * np.eye(3))
+        many = middles[np.arange(_MANY) % _MIDDLES] + rng.normal(size=many.shape) @ spread.T
+        many = np.clip(many, *box)
+        white = np.linalg.inv(spread).T
+        away = np.sum(((many @ white)[:, np.newaxis] - middles @ white) ** 2, axis=-1)
+        density = np.exp(-0.5 * away).sum(axis=1)
+    others = tuple(
+        Alternative(*(mean * size for size in astuple(one)[:4]), *astuple(one)[4:]) for one in said.others
     )
+    freed_of = RatesAnswer(mean * said.value, mean * said.u, mean * said.low, mean * said.high, others)
+    return widened(freed_of, math.hypot(sd, 2 * (mean - 1) * gain_time_u / gain_time) / mean)
 
 
-def beats_of_rates(points: Points, mismatch: Floats, lock_in_rate: float, gain_time: float) -> Floats:
-    """What the records of a fit say at each rate in each sense, (5, p), for :func:`coupling_seen`."""
-    records, sums = points.records, np.zeros((5, len(points.places)))
+def _weights(left: Floats, of_ratios: int, rough: float, unusual: Floats, density: Floats) -> tuple[float, Floats]:
+    """Power of the likelihood that is used, and weights of lasers by what each leaves, ratios first."""
+    unlikely, free = np.sum(left[:, :of_ratios] ** 2, axis=1), left.shape[1] - of_ratios - 3
+    if free > 0:
+        # what each beat is known to was stated, and is good for as much as some more beats would tell of it
+        chi_square, freedom = np.sum(left[:, of_ratios:] ** 2, axis=1), free + _STATED
+        above = (chi_square - chi_square.min()) / max(float(chi_square.min()) / free, 1.0)
+        unlikely = unlikely + (freedom + 1) * np.log1p(above / freedom)
+    unlikely = unlikely / (1 + rough) + unusual
+    unlikely = 0.5 * (unlikely - unlikely.min())
+    for power in _POWERS:
+        weights = np.exp(-power * unlikely) / density
+        if weights.sum() ** 2 > _LEAST_NUMBER * np.sum(weights**2):
+            break
+    return float(power), weights
+
+
+def _powers_of(lasers: Floats) -> Floats:
+    """What all that lasers (L, 3) change is a sum of, to the fourth order in their difference: (L, 25)."""
+    # (a2 e^(i eps/2) - a1 e^(-i eps/2))/(a2 e^(i eps/2) + a1 e^(-i eps/2)); exchanged beams only turn its sign
+    x = np.tanh((lasers[:, 1] + 1j * lasers[:, 0]) / 2)
+    faster = np.stack([((1 + lasers[:, 2]) / (1 - lasers[:, 2]) / 3) ** k for k in range(3)])
+    orders = [(2, 0), (1, 1), (0, 2), (4, 0), (3, 1), (2, 2), (1, 3), (0, 4)]
+    powers = [faster * x.real**m * x.imag**n for m, n in orders]
+    return np.concatenate([np.ones((1, x.size)), *powers]).T
+
+
+def ratios_of_lasers(parameters: Floats, lasers: Floats, data: RatioData) -> tuple[Complexes, Floats, Bools]:
+    """Ratios of lasers with backscatter of any kind in the place of those of equation (1), for all else the same.
+
+    `lasers` (L, 3) as `BACKSCATTER`. Gives rho and df/f (L, n), and which have a beat.
+    """
+    z = np.repeat(lock_in_at(parameters, data), len(lasers), axis=0)
+    angle, logarithm, saturation = (lasers[:, k, np.newaxis] + np.zeros(z.shape) for k in range(3))
+    inequality = np.exp(logarithm)
+    coupling = np.exp(-0.5j * angle) + inequality * np.exp(0.5j * angle)
+    two_pi_k = float((data.angular / data.beat_rate).flat[0])
+    first = two_pi_k * np.abs(z) / np.abs(coupling)
+    gain = np.broadcast_to(1 / max(float(parameters[0, 3]), _SHORTEST), z.shape)
+    each = np.stack([first, inequality * first, angle / 2, saturation, gain], axis=-1).reshape(-1, 5)
+    readout = (np.angle(coupling) - np.angle(z)).reshape(-1, 1)
+    rate, angular = (np.broadcast_to(one, z.shape).ravel() for one in (data.rate, data.angular))
+    start = np.zeros((rate.size, 2, steps_of_a_turn(data.ratio)))
+    if data.reference == "beat":
+        values, sagnac, found = periodic_states(each, np.sign(rate) * angular, start, angular)
+    else:
+        values, sagnac, found = periodic_states(each, two_pi_k * rate, start)
+    psi, lines, beat = lines_in_time(each, sagnac, values, 2)
+    fringes = np.sqrt(np.exp(values.sum(axis=1))) * np.sin(psi + readout)
+    one, two = np.einsum("bk,bmk->mb", fringes, lines)
+    free = np.sqrt(np.maximum(sagnac**2 - (two_pi_k * np.abs(z).ravel()) ** 2, 1e-300))
+    ratio, push = two * np.abs(one) / one**2, beat / free - 1
+    beats = np.all(found.reshape(z.shape), axis=1, keepdims=True)
+    return np.asarray(ratio.reshape(z.shape)), np.asarray(push).reshape(z.shape), beats[:, 0]
+
+
+def beats_of_rates(
+    points: Points, mismatch: Floats, lock_in_rate: float, share_u: float
+) -> tuple[Floats, Floats, Floats] | None:
+    """What the beats at p rates and senses leave of the lock-in equation, in its standard uncertainties, (p + 1,).
+
+    And what the push of each point's beat adds (n, p + 1), and a change of WL^2 (p + 1,), both relative; freed of
+    what all beats may have in common. The last: WL is known to `share_u` from the ratios. ``None``: no beats.
+    """
+    records, sums = points.records, np.zeros((4, len(points.places)))
     for some, every in records.records.blocks():
         rows = np.flatnonzero(records.used[some] & np.isfinite(mismatch[some]))
         block, frequency = every.take(rows), every.beat_frequency[rows]
         square = (lock_in_rate / block.rate) ** 2
         rate_u = records.rate_u[some][rows] / np.abs(block.rate) / (1 - square)
-        us = np.hypot(block.beat_frequency_u / frequency, rate_u)
-        slowness = 2 * np.pi * frequency * gain_time
-        sums += points.places.sums(block, *said_by_beats(block.rate, mismatch[some][rows], us, square, slowness))
-    there = sums[0] > 0
-    _, place = np.unique(2 * points.rate_group[there] + (points.points.rate[there] > 0), return_inverse=True)
-    return np.stack([np.bincount(place, column) for column in sums[:, there]])
-
-
-_ALIKE, _STATED = 1e6, 4
-"""Condition number from which on the unknowns are not told apart; degrees of freedom of uncertainties stated."""
+        weight = 1 / ((block.beat_frequency_u / frequency) ** 2 + rate_u**2 + LEAST_U**2)
+        each = np.stack([np.ones_like(square), mismatch[some][rows], square / (1 - square), 1 / block.rate])
+        sums += points.places.sums(block, *(weight * each))
+    place = 2 * points.rate_group + (points.points.rate > 0)
+    merge = np.equal.outer(np.unique(place[sums[0] > 0]), place) * sums[0]
+    if not merge.size:
+        return None
+    weight = merge.sum(axis=1)
+    merge /= weight[:, np.newaxis]
+    seen, pulled, drift = sums[1:] / np.maximum(sums[0], 1e-300) @ merge.T
+    columns = np.stack([np.ones_like(drift), drift / np.abs(drift).max(), pulled * share_u])
+    root = np.append(np.sqrt(weight), 1.0)
+    common = np.column_stack([columns, [0.0, 0.0, 1.0]]) * root
+    free = np.diag(root) - root[:, np.newaxis] * (np.linalg.pinv(common, rcond=_ALIKE) @ common)
+    return seen @ free[:-1], merge.T @ free[:-1], 0.5 * pulled @ free[:-1]

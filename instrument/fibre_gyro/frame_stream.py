@@ -143,7 +143,13 @@ class FrameStream:
                 good = frame is not None and self._borne_out(frame, rest[self._length :], silent)
                 if good is None:
                     break
-                position = self._behind_frame(frame, position) if frame and good else self._behind_damage(position)
+                if frame and good:
+                    self._end_of_damage()
+                    self._counter = frame.counter
+                    self._give(frame)
+                    position += self._length
+                else:
+                    position = self._behind_damage(position)
         del self._buffer[:position]
 
     def _longest(self) -> int:
@@ -190,7 +196,11 @@ class FrameStream:
         counted = self._layout.counter is not None and frame.counter is not None
         if not self._header and self._bad_bytes:
             return False
-        return self._joined and (self._counts_on(frame) if counted else self._bad_bytes == 0)
+        if not (self._joined and counted):
+            return self._joined and self._bad_bytes == 0
+        # whether the counter went on by as many frames as the bytes since the last one make
+        between = 1 + round(self._bad_bytes / self._length)
+        return self._counter is not None and self._counts(self._counter, frame.counter, between)
 
     def _next_begins(self, frame: Frame, behind: bytearray) -> bool:
         """Whether the next frame begins right behind, by more than one byte that other numbers could be too."""
@@ -244,12 +254,6 @@ class FrameStream:
             return True
         return (behind - before - frames * rule.per_frame) % rule.modulus == 0
 
-    def _counts_on(self, frame: Frame) -> bool:
-        """Whether the counter went on by as many frames as the bytes since the last one make."""
-        if self._counter is None:
-            return False
-        return self._counts(self._counter, frame.counter, 1 + round(self._bad_bytes / self._length))
-
     def _in_course(self, frame: Frame, behind: bytearray, silent: bool) -> bool | None:
         """Refuse a frame whose output jumps and comes back, on a line that damages frames."""
         if not self._line_is_bad() or self._course is None or not self._course.jumps(frame):
@@ -273,13 +277,6 @@ class FrameStream:
     def _starts(self) -> list[bytes]:
         """How what is worth finding begins."""
         return [self._header, *self._answers]
-
-    def _behind_frame(self, frame: Frame, position: int) -> int:
-        """Give a frame; where to go on."""
-        self._end_of_damage()
-        self._counter = frame.counter
-        self._give(frame)
-        return position + self._length
 
     def _behind_damage(self, position: int) -> int:
         """Discard what belongs to no frame and no answer; where to go on."""

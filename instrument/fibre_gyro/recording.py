@@ -64,7 +64,9 @@ class CounterClock:
         if ticks == 0:
             return None
         passed, rest = divmod(ticks, self._rule.per_frame)
-        if rest or self._is_ahead(passed, host_s):
+        # more than can have been sent since the one before: the counter was set anew
+        lead_s = (self._index + passed) * self._interval_s - (host_s - self._first_host_s)
+        if rest or (passed > 1 and lead_s > self._lead_s + HOST_DELAY_S):
             passed = max(1, round((host_s - self._last_host_s) / self._interval_s))
             return self._keep(passed, counter, host_s, "counter jump")
         return self._keep(passed, counter, host_s, "frames lost" if passed > 1 else "")
@@ -74,11 +76,6 @@ class CounterClock:
         if passed == 1:
             return ""
         return "frames lost" if passed == damaged + 1 else "silence"
-
-    def _is_ahead(self, passed: int, host_s: float) -> bool:
-        """Whether that many frames cannot have been sent since the one before: the counter was set anew."""
-        lead_s = (self._index + passed) * self._interval_s - (host_s - self._first_host_s)
-        return passed > 1 and lead_s > self._lead_s + HOST_DELAY_S
 
     def _keep(self, passed: int, counter: int | None, host_s: float, cause: str) -> Tick:
         self._index += passed

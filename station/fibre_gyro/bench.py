@@ -99,9 +99,14 @@ class SerialFogBench:
 
     def leave(self) -> None:
         """Take the injection away, close the loop and stop the table; never raises."""
-        for undo in (self._stop_injecting, lambda: self._set_loop(False), self._stop_turning):
-            with suppress(InstrumentError, OSError):
-                undo()
+        with suppress(InstrumentError, OSError):
+            if self._step:
+                self._link.inject(0.0)
+        with suppress(InstrumentError, OSError):
+            self._set_loop(False)
+        with suppress(InstrumentError, OSError):
+            if self._rate:
+                self._table.close()
 
     def _set_by_hand(self, wanted: Any) -> None:
         now = tuple(wanted.get(name) for name in self._BY_HAND)
@@ -132,14 +137,6 @@ class SerialFogBench:
         if step and "number" in wanted:
             reached["number"] = float(wanted["number"]) * sent / step
         return reached
-
-    def _stop_injecting(self) -> None:
-        if self._step:
-            self._link.inject(0.0)
-
-    def _stop_turning(self) -> None:
-        if self._rate:
-            self._table.close()
 
 
 @contextmanager

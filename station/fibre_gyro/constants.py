@@ -285,7 +285,12 @@ def _vhdl_column(column: Column) -> Iterator[str]:
     yield f"constant {column.name}_WIDTH    : positive := {words.width};"
     yield f"constant {column.name}_FRACTION : integer  := {words.fraction};"
     yield f"subtype {kind} is signed({column.name}_WIDTH - 1 downto 0);"
-    literals = [_vhdl_word(word, words.width) for word in words.words]
+    literals = [
+        f"to_signed({word}, {words.width})"
+        if abs(word) <= _LARGEST_INTEGER
+        else f'"{word % (1 << words.width):0{words.width}b}"'
+        for word in words.words
+    ]
     if column.name == "N" or not column.at.size:
         names = [f"N_{identifier(f'{rate:.10g}')}" for rate in column.at] or [column.name]
         for place, (one, literal) in enumerate(zip(names, literals, strict=True)):
@@ -300,12 +305,6 @@ def _vhdl_column(column: Column) -> Iterator[str]:
     for place, literal in enumerate(literals):
         yield f"  {place} => {literal}{',' if place < len(literals) - 1 else ''}"
     yield ");"
-
-
-def _vhdl_word(word: int, width: int) -> str:
-    if abs(word) <= _LARGEST_INTEGER:
-        return f"to_signed({word}, {width})"
-    return f'"{word % (1 << width):0{width}b}"'
 
 
 def c_text(constants: Constants, *, floats: bool = False) -> str:

@@ -247,7 +247,9 @@ def _with_response(path: Path, settings: Settings) -> Settings:
     if front_end.response:
         raise SettingsError(f"{path}: front_end: give either response or response_file, not both")
     # a relative name is meant from where the settings stand
-    rows = read_response(path.parent / front_end.response_file)
+    table = path.parent / front_end.response_file
+    rows = tuple(_rows(table, _response_row, "three numbers (frequency_hz, gain, phase_deg)"))
+    check_response(rows, str(table))
     return settings.model_copy(update={"front_end": front_end.model_copy(update={"response": rows})})
 
 
@@ -262,13 +264,6 @@ def _with_counts(path: Path, settings: Settings) -> Settings:
             f"{file}: {len(whole)} gates of counts show no random walk: it takes {FEWEST_GATES} at least"
         )
     return settings.model_copy(update={"dither": settings.dither.model_copy(update={"counts": whole})})
-
-
-def read_response(path: Path) -> tuple[ResponseRow, ...]:
-    """Read a table of the channel's response."""
-    rows = tuple(_rows(path, _response_row, "three numbers (frequency_hz, gain, phase_deg)"))
-    check_response(rows, str(path))
-    return rows
 
 
 def _rows(path: Path, read: Callable[[str], T], what: str) -> Iterator[T]:

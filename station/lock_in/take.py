@@ -239,7 +239,10 @@ class _Taking:
         if self.bench.table is None:
             self.progress.note("looking for the beat")
         else:
-            wanted = there[0].conditions["table_rate_dps"] if there else self._table_rate(step)
+            # of the earth rate the vertical part is known
+            east = float(earth_rate_on_axis(settings.site.latitude_deg, self.tilt_deg, _EAST))
+            wanted = (step.rate_dps - east) / math.cos(math.radians(self.tilt_deg))
+            wanted = there[0].conditions["table_rate_dps"] if there else wanted
             if abs(wanted) > settings.table.highest_rate_dps:
                 raise NoUsableSignal(f"the table turns at most {settings.table.highest_rate_dps:g} deg/s")
             unstated = settings.table.highest_rate_dps == TableSettings.model_fields["highest_rate_dps"].default
@@ -329,11 +332,6 @@ class _Taking:
         """The table's rate after its beat was seen: an operator may have set it right."""
         table = self.bench.table
         return table.rate() if isinstance(table, ManualRateTable) else rate
-
-    def _table_rate(self, step: RateStep) -> float:
-        """Rate of the table for a rate on the axis, deg/s; of the earth rate the vertical part is known."""
-        east = float(earth_rate_on_axis(self.settings.site.latitude_deg, self.tilt_deg, _EAST))
-        return (step.rate_dps - east) / math.cos(math.radians(self.tilt_deg))
 
     def _take_records(
         self,

@@ -104,7 +104,9 @@ def combine(
     )
     paths = tuple(Path(one.name) for one in used)
     said, about = result(shown), tuple(one.about for one in used)
-    return AnalyzedFiles(paths, shown, None, said, tuple(left_out), about, tested_by(config, said))
+    limited = stated_of_files(config)
+    tested = () if limited is None else judged(said, said.document, limits_in(limited.limits.model_dump(), said))
+    return AnalyzedFiles(paths, shown, None, said, tuple(left_out), about, tested)
 
 
 @dataclass
@@ -405,14 +407,6 @@ def analyze_file(source: Path | Source, config: Path | None, choices: Mapping[st
     )
     tables = (*analyzed.result.tables, TextTable(("harmonic", "frequency", "amplitude", "of the first"), rows))
     return replace(analyzed, harmonics=harmonics, result=replace(analyzed.result, tables=tables))
-
-
-def tested_by(config: Path | None, said: Result) -> tuple[LimitOutcome, ...]:
-    """Test a result of files against the limits that a settings file states."""
-    settings = stated_of_files(config)
-    if settings is None:
-        return ()
-    return judged(said, said.document, limits_in(settings.limits.model_dump(), said))
 
 
 def scale_factor_of_files(config: Path | None, files: Sequence[Path | Source] = ()) -> float:

@@ -78,7 +78,11 @@ def render_report(evaluated: Shown) -> str:
     sections = evaluated.sections()
     if result.to_watch:
         sections = [*sections, Section("What to watch", sentences=result.to_watch)]
-    remarks, folder = _remarks(evaluated.run.path), evaluated.run.path.parent.name
+    folder = evaluated.run.path.parent.name
+    try:
+        remarks = read_remarks(evaluated.run.path)
+    except RunError as error:
+        remarks = Remarks((Remark(at="", by="", note=str(error)),))
     if remarks.said:
         said = [f"{_time_of_day(one.at)}, {one.by}: {one.words}" if one.at else one.words for one in remarks.said]
         lost = [f"{remarks.unreadable} lines of its remarks cannot be read."] if remarks.unreadable else []
@@ -102,14 +106,6 @@ def render_report(evaluated: Shown) -> str:
         footer=f"Made by gyrolock {version('gyrolock')} from the saved records of {folder}. "
         f"`gyrolock analyze {folder}` computes the numbers again.",
     )
-
-
-def _remarks(run: Path) -> Remarks:
-    """What was said of a run afterwards; what cannot be read is said to be so."""
-    try:
-        return read_remarks(run)
-    except RunError as error:
-        return Remarks((Remark(at="", by="", note=str(error)),))
 
 
 def _time_of_day(at: str) -> str:

@@ -164,7 +164,8 @@ class ClosedLoop:
             seen.append(pair.of_run(0))
 
         kernels.run_pairs(constants, self._phase, self._words, self._phases, drive, sums, watch)
-        self._clock.next_pairs(int(chunk.pairs[0]))
+        self._clock.pairs += int(chunk.pairs[0])
+        self._clock.time = self._clock.pairs * self._clock.pair_time
         return _trace(seen, 2 * first + 1, self.coil, self.design)
 
     def _by_output(self, value: ArrayLike, n_outputs: int) -> Floats:

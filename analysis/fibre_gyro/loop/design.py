@@ -249,11 +249,6 @@ class OutputClock:
         self.time, self.pairs = float(ends[-1]), int(last[-1])
         return ends, in_output
 
-    def next_pairs(self, pairs: int) -> None:
-        """Go on by some pairs."""
-        self.pairs += pairs
-        self.time = self.pairs * self.pair_time
-
 
 # --------------------
 # What a fibre gyro gives: output words, and a trace of its staircase and detector signal

@@ -119,24 +119,6 @@ class _Session:
         """Time in s that a byte takes on the serial line: start bit, 8 data bits, stop bit."""
         return 10 / self.exchange.scope.panel.number("RS232:BAUD")
 
-    def set_out(self, answer: bytes, now: float) -> None:
-        """Bytes leave the instrument; they take their time."""
-        self.free_at = now
-        self.under_way += answer
-
-    def let_arrive(self, now: float) -> None:
-        """Take what has come by now."""
-        count = min(int((now - self.free_at) / self.byte_time), len(self.under_way))
-        if count > 0:
-            self.free_at += count * self.byte_time
-            self.arrive(_cut(self.under_way, count))
-
-    def next_arrival(self, count: int, ending: int | None) -> float:
-        """Clock time in s at which `count` bytes are there, or the ending byte, or all that is under way."""
-        at = self.under_way.find(ending) if ending is not None else -1
-        wanted = min(count - len(self.received), len(self.under_way))
-        return self.free_at + (wanted if at < 0 else min(wanted, at + 1)) * self.byte_time
-
     def seconds(self) -> float:
         """Time-out in s."""
         milliseconds = self.attributes[ResourceAttribute.timeout_value]
@@ -382,7 +364,10 @@ def _read_stream(opened: _Session, count: int) -> tuple[bytes, StatusCode]:
     deadline = clock.now() + opened.seconds()
     ending = opened.ending_byte()
     while True:
-        opened.let_arrive(clock.now())
+        arrived = min(int((clock.now() - opened.free_at) / opened.byte_time), len(opened.under_way))
+        if arrived > 0:
+            opened.free_at += arrived * opened.byte_time
+            opened.arrive(_cut(opened.under_way, arrived))
         at = opened.received.find(ending) if ending is not None else -1
         if 0 <= at < count:
             return _cut(opened.received, at + 1), StatusCode.success_termination_character_read
@@ -392,14 +377,18 @@ def _read_stream(opened: _Session, count: int) -> tuple[bytes, StatusCode]:
             if clock.now() >= deadline:
                 opened.received.clear()
                 return b"", StatusCode.error_timeout
-            clock.sleep(min(deadline, opened.next_arrival(count, ending)) - clock.now() + 1e-9)
+            at = opened.under_way.find(ending) if ending is not None else -1
+            wanted = min(count - len(opened.received), len(opened.under_way))
+            arrives = opened.free_at + (wanted if at < 0 else min(wanted, at + 1)) * opened.byte_time
+            clock.sleep(min(deadline, arrives) - clock.now() + 1e-9)
             continue
         answer = opened.exchange.wait_for_answer(deadline - clock.now())
         if answer is None:
             opened.received.clear()
             return b"", StatusCode.error_timeout
         if opened.serial and clock.virtual:
-            opened.set_out(answer, clock.now())
+            opened.free_at = clock.now()
+            opened.under_way += answer
         else:
             opened.arrive(answer)
 

@@ -135,6 +135,10 @@ class Panel:
     def _channel(self, name: str) -> PanelChannel:
         limited = self.flag(f"{name}:BANDWIDTH")
         at_bnc = self.number(f"{name}:SCALE") / self.number(f"{name}:PROBE")
+        narrow = limited or at_bnc < FULL_BANDWIDTH_FROM * (1 - 1e-9)
+        corner = LIMITED_BANDWIDTH if narrow else self.model.bandwidth
+        # the full bandwidth counts on sweeps of 100 MS/s and faster only
+        seen = narrow or self.seconds_per_division <= FULL_BANDWIDTH_SWEEP * (1 + 1e-9)
         return PanelChannel(
             scale=self.number(f"{name}:SCALE"),
             position=self.number(f"{name}:POSITION"),
@@ -142,15 +146,8 @@ class Panel:
             probe=self.number(f"{name}:PROBE"),
             limited=limited,
             inverted=self.flag(f"{name}:INVERT"),
-            time_constant=self._time_constant(limited=limited or at_bnc < FULL_BANDWIDTH_FROM * (1 - 1e-9)),
+            time_constant=1 / (2 * math.pi * corner) if seen else 0.0,
         )
-
-    def _time_constant(self, *, limited: bool) -> float:
-        """Time constant in s of a channel; the full bandwidth counts on sweeps of 100 MS/s and faster only."""
-        if limited:
-            return 1 / (2 * math.pi * LIMITED_BANDWIDTH)
-        fast = self.seconds_per_division <= FULL_BANDWIDTH_SWEEP * (1 + 1e-9)
-        return 1 / (2 * math.pi * self.model.bandwidth) if fast else 0.0
 
     @_remembered
     def trigger(self) -> TriggerSettings:

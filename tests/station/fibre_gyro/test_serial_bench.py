@@ -196,15 +196,15 @@ def test_the_number_is_the_step_that_was_really_sent(served, fog_settings, resul
     settings = fog_settings(
         gyro=GYRO,
         selfcal={"numbers": "nominal", "rates_dps": [1.0, 2.0], "step_s": 1.5, "static_s": 1.5, "settle_s": 0.1},
-        simulation={"angle_random_walk": 1e-3},
+        # u is the scatter of four steps, and which noise they meet is a matter of time
+        simulation={"angle_random_walk": 2e-4},
     )
     bench = served(settings, step_scale=4)
     plan, _ = selfcal.plan(settings, numbers_for(settings, None))
     found = result_of("selfcal", settings, bench, plan).document()
     given = {point["name"]: point["number_counts"] / 256 for point in found["points"]}
     assert given["inject +1"] == 246.25
-    # u is that of the scatter of four steps, which is chance: the 395 ppm must show beside it
-    assert abs(found["self_minus_numbers_ppm"]) < 5 * found["self_minus_numbers_u_ppm"] < 395
+    assert abs(found["self_minus_numbers_ppm"]) < 5 * found["self_minus_numbers_u_ppm"] < 100
 
 
 def test_the_injection_is_taken_away_after_an_interrupt(served, fog_settings) -> None:

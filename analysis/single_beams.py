@@ -10,7 +10,7 @@ while the beat's second harmonic over its fundamental is -C/(2 w) g/(g + i w), a
 show the phase of C, which distortion of the receiver hides, D, which no harmonic shows, and g.
 
 The fit is not of first order: every setting is the periodic solution of the equations of a two-mode laser
-(`analysis.ring_laser.two_mode_laser`) at the beat that was seen, and its signals go through three receivers. One
+(`analysis.two_mode_laser`) at the beat that was seen, and its signals go through three receivers. One
 least-squares fit has the harmonics of the beat, the beams and the rates of the table as its data, and whatever may
 spoil them as its unknowns, each with a bound.
 """
@@ -30,10 +30,10 @@ from analysis.beam_swings import BeamModulation, BeamsFlag
 from analysis.budget import SCALE_FACTOR_LIMIT, TABLE_RATE_LIMIT, BenchKnowledge, lowest_bandwidth
 from analysis.frequency_method import fit_frequencies
 from analysis.lockin_rate import size_interval
-from analysis.ring_laser.two_mode_laser import lines_in_time, periodic_states, states_beside, steps_of_a_turn
 from analysis.several_rates import RatesFit, prior_of
 from analysis.several_rates.points import Points, gather, with_noise
 from analysis.several_rates.ratio_model import SENSES, RatioData, in_standard_uncertainties, nearest_series
+from analysis.two_mode_laser import lines_in_time, periodic_states, states_beside, steps_of_a_turn
 
 # --------------------
 # What is fitted, and what is known of it beforehand

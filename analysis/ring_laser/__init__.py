@@ -11,4 +11,4 @@ from analysis.ring_laser.detector import (
     smooth_interval,
 )
 from analysis.ring_laser.gyro import Dither, DitheredFringe, Gyro, axis_rate_on_table, beat_phase_on_table
-from analysis.ring_laser.two_mode_laser import SteadyBeat, TwoModeLaser, Winking, steady_beat, symmetric_laser
+from analysis.two_mode_laser import SteadyBeat, TwoModeLaser, Winking, steady_beat, symmetric_laser

@@ -17,15 +17,7 @@ from numpy.typing import NDArray
 from analysis.arrays import Bools, Complexes, Floats, Indices
 from analysis.channel import high_pass, low_pass
 from analysis.ring_laser.gyro import Gyro, RateMotion, beat_phase_on_table, split
-from analysis.ring_laser.two_mode_laser import (
-    FINER,
-    beat_rate_at,
-    grid_place,
-    interpolate,
-    rate_at,
-    six_weights,
-    weights_at,
-)
+from analysis.two_mode_laser import FINER, beat_rate_at, grid_place, interpolate, rate_at, six_weights, weights_at
 
 _FEWEST_POINTS, _MOST_POINTS = 128, 8192
 _NEGLIGIBLE = 1e-9

@@ -16,8 +16,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from analysis import lockin_equation
 from analysis.arrays import Bools, Complexes, Floats, Indices
-from analysis.ring_laser.two_mode_laser import Winking
 from analysis.rotation import rate_on_axis
+from analysis.two_mode_laser import Winking
 
 _SECONDS_PER_HOUR = 3600.0
 

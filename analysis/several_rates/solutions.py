@@ -11,7 +11,6 @@ import scipy.special
 
 from analysis.arrays import NORMAL_95, Bools, Complexes, Floats
 from analysis.lockin_rate import size_interval
-from analysis.ring_laser.two_mode_laser import lines_in_time, periodic_states, steps_of_a_turn
 from analysis.several_rates.points import Points
 from analysis.several_rates.ratio_model import (
     N_PARAMETERS,
@@ -26,6 +25,7 @@ from analysis.several_rates.ratio_model import (
     residual,
 )
 from analysis.several_rates.result import Alternative
+from analysis.two_mode_laser import lines_in_time, periodic_states, steps_of_a_turn
 
 POSSIBLE = 9.0
 """A minimum whose chi-square is above the best by no more than this is a possible answer: three standard

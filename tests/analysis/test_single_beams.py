@@ -14,8 +14,8 @@ from analysis.budget import RecordShape
 from analysis.harmonics import fit_harmonics
 from analysis.plan import expected_beams_u
 from analysis.ring_laser import TwoModeLaser, steady_beat
-from analysis.ring_laser.two_mode_laser import periodic_states, states_beside
 from analysis.single_beams import BeamsKnowledge, fit_beams
+from analysis.two_mode_laser import periodic_states, states_beside
 from benchmarks import beams
 
 K, WL, SAMPLES, PERIODS = 2000.0, 0.01, 2500, 20

@@ -196,7 +196,7 @@ def outcome(plan: Plan, drift: float, fault: Fault | None, seed: int) -> Outcome
                 continue
             then = WL * (1 + grows * when[row])
             winking = Winking(true_k, then, gain_hz, angle, saturation, math.exp(logarithm))
-            factor = float(winking.frequency_factor(np.array([abs(rate)]))[0])
+            factor = float(winking.frequency_factor(np.array([rate]))[0])
             beat = true_k * math.sqrt(rate**2 - then**2) * factor
             level = LEVEL * abs(channel(np.array([beat]))[0])  # what is weaker behind the channel is shown larger
             phase = readout + between * math.copysign(0.5, rate) + turns * when[row]

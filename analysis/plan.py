@@ -23,20 +23,11 @@ from analysis.lockin_equation import beat_frequency, harmonic_ratio
 from analysis.lockin_rate import MAINS_ORDERS
 from analysis.several_rates import COUNTED, RatioData, predicted_ratio
 from analysis.several_rates.fit import gain_time_is_open, over_gain_times
+from analysis.several_rates.laser_fit import FIRST, GAIN, SATURATION, SECOND, LaserData, LaserFit, LaserModel
 from analysis.several_rates.points import UsedRecords, gather, place_in_run, records_of_arrays
 from analysis.several_rates.ratio_model import N_PARAMETERS, all_solutions, fit_ratios, prior_of, whitening_factor
 from analysis.several_rates.solutions import answer
-from analysis.single_beams import (
-    FIRST,
-    GAIN,
-    SATURATION,
-    SECOND,
-    BeamsData,
-    BeamsKnowledge,
-    LaserFit,
-    LaserModel,
-    beams_data,
-)
+from analysis.single_beams import BeamsKnowledge, beams_data
 
 # --------------------
 # What somebody who plans a measurement knows and wants
@@ -453,7 +444,7 @@ def expected_beams_u(
     return np.sort(us)
 
 
-def _drawn(rng: np.random.Generator, data: BeamsData, coupling: float) -> Floats:
+def _drawn(rng: np.random.Generator, data: LaserData, coupling: float) -> Floats:
     """Parameters of a laser whose |C| is that, rad/s, all else as it is likeliest."""
     ratio, slowness = np.exp(rng.uniform(*np.log([_RATIOS, _SLOWEST_OVER_CORNER]).T))
     turn = np.exp(0.5j * rng.uniform(0, np.pi))

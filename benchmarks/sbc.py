@@ -46,7 +46,7 @@ from analysis.flags import DOUBTFUL
 from analysis.lock_in_run import AxisRates, Batch, Method, RecordArrays, RunArrays, RunKnowledge, evaluate
 from analysis.plan import default_rates, off_mains, run_order
 from analysis.ring_laser import Detector, Gyro, Winking, detector_signal
-from analysis.several_rates.solutions import BACKSCATTER
+from analysis.several_rates.laser_fit import BACKSCATTER
 from benchmarks import beams
 
 K, WL, SAMPLES, PERIODS, HUM_HZ = 2000.0, 0.01, 2500, 20.3, 50.0

@@ -8,6 +8,7 @@ docs/several_rates.md). What they leave open is bounded by what is known of rece
 
 import math
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from typing import Literal
 
@@ -18,6 +19,7 @@ from numpy.typing import ArrayLike
 from analysis.arrays import NORMAL_95, Complexes, Floats, NoFit
 from analysis.budget import BenchKnowledge
 from analysis.lockin_rate import LockInEstimate
+from analysis.several_rates.laser_fit import LaserFit, lasers_of_beat
 from analysis.several_rates.points import (
     MISMATCH,
     Points,
@@ -55,7 +57,7 @@ from analysis.several_rates.result import FittedRecords, Model, ModelFit, RatesF
 from analysis.several_rates.solutions import (
     RatesAnswer,
     answer,
-    beats_of_rates,
+    answer_of_lasers,
     by_profile,
     largest_possible,
     lock_in_u,
@@ -64,7 +66,6 @@ from analysis.several_rates.solutions import (
     size_us,
     up_to,
     widened,
-    with_coupling,
 )
 
 _REST = N_PARAMETERS - 4
@@ -248,7 +249,7 @@ def _fit(
         used &= ~inconsistent_rate(records, rate_u, common_mismatch(records))
     if not used.any():
         raise NoFit("no record with a usable beat: nothing can be fitted")
-    points = gather(UsedRecords(records, used, rate_u, reference))
+    gathered = points = gather(UsedRecords(records, used, rate_u, reference))
     chosen: Model = "all" if model == "auto" else model
     known, usual = (
         prior_of(knowledge, float(points.points.angular.min()) / (2 * np.pi)).seen_by(points.points)
@@ -269,7 +270,7 @@ def _fit(
         raise NoFit(f"these records cannot tell the unknowns of the model {model!r} apart: {MORE_RECORDS}")
     most = np.inf if records.rate_of_beat else largest_possible(found, points.points)
     found = up_to(found, most)
-    drift_u = np.sqrt(found.covariance[0, DRIFT, DRIFT])
+    drift_u, drifting = np.sqrt(found.covariance[0, DRIFT, DRIFT]), known
     if chosen == "all" and known.sd[SENSES] > 0 and abs(found.parameters[0, DRIFT]) < _MAYBE * drift_u:
         # the senses stand for each other's times; in one sense nothing does, and any drift within its bound counts
         known = replace(known, sd=np.where(np.arange(N_PARAMETERS) == DRIFT, 0.0, known.sd))
@@ -278,7 +279,7 @@ def _fit(
     if chosen == "all" and np.any(np.abs(found.parameters[0, SENSES + 1 :]) > _DRIFTS):
         size, u = np.abs(found.parameters[0]), np.sqrt(np.diagonal(found.covariance[0]))
         shown = (size > known.sd) & (u < _SHOWN * known.sd) & (np.arange(N_PARAMETERS) >= SENSES)
-        known = Prior(known.mean, np.where(shown, size, known.sd))
+        known, drifting = (Prior(one.mean, np.where(shown, size, one.sd)) for one in (known, drifting))
         points = at_mean_times(points, found.parameters[:1])
         found = up_to(all_solutions(points.points, known), most)
     points, found = _beyond_first_order(points, found, _prior(chosen, known), most)
@@ -295,7 +296,20 @@ def _fit(
             fit = fit_ratios(points.points, prior, np.where(held, found.parameters[:1], prior.mean))
             if not fit.singular[0]:
                 fits[name] = fit
-    result = _result(points, fits, found, known, chosen, receiver, most)
+    lasers: list[LaserFit] = []
+    gain_time_u = np.sqrt(found.covariance[0, _GAIN_TIME, _GAIN_TIME])
+    if chosen == "all" and found.parameters[0, _GAIN_TIME] > _GAIN_SEEN * gain_time_u:
+        bench = BenchKnowledge() if receiver is None or contradicted else receiver
+        for noisy in (gathered, points):
+            # what equation (1) took for uneven codes or wrong rates may be another kind of backscatter
+            own = {name: getattr(noisy.points, name) for name in ("whitening", "third_weight")}
+            every = replace(gathered, points=replace(gathered.points, **own))
+            with suppress(NoFit):
+                lasers = lasers_of_beat(every, found.parameters[0], drifting, bench)
+                if scipy.special.chdtrc(lasers[0].model.data.degrees, lasers[0].chi_square) > UNLIKELY:
+                    points = replace(points, uneven=noisy.uneven)
+                    break
+    result = _result(points, fits, found, known, chosen, receiver, most, lasers)
     return replace(result, flags=result.flags | (RatesFlag.STATED_LIMITS_EXCEEDED if contradicted else 0))
 
 
@@ -392,27 +406,29 @@ def _result(
     chosen: Model,
     receiver: BenchKnowledge | None,
     most: float,
+    lasers: list[LaserFit],
 ) -> RatesFit:
     records = points.records.records
     fit, prior = fits[chosen], _prior(chosen, known)
-    degrees = _degrees(fit, points, prior)
-    chi_square, p_value, widen, freedom = _test(fit, points, degrees)
+    degrees, height = _degrees(fit, points, prior), float(fit.chi_square[0])
+    if lasers:
+        degrees, height = lasers[0].model.data.degrees, lasers[0].chi_square
+    chi_square, p_value, widen, freedom = _test(height, degrees, fit, points)
     covariance = polar_covariance(fit) * widen
-    said = answer(found, widen, freedom)
-    if np.unique(np.sign(points.points.rate)).size == 1:
+    said = answer_of_lasers(lasers, widen, points.points.reference) if lasers else answer(found, widen, freedom)
+    if not lasers and np.unique(np.sign(points.points.rate)).size == 1:
         said = by_profile(said, found, points.points, prior, widen, freedom, most)
-    if chosen == "all" and gain_time_is_open(fit, points.points, prior, points.settings):
+    if not lasers and chosen == "all" and gain_time_is_open(fit, points.points, prior, points.settings):
         said = over_gain_times(said, found, points.points, prior, widen)
     mismatch = rate_mismatch(records, said.value, float(fit.parameters[0, DRIFT]))
     common, differ = _rates_differ(points.records, said, mismatch, bool(np.ptp(points.rate_group)))
-    beats = None
-    if said.value > 0 and not records.rate_of_beat:
-        beats = beats_of_rates(points, mismatch, said.value, said.u / said.value)
     failed = p_value < UNLIKELY
+    # a laser that fits says why beats are not those of the lock-in equation, if the rates fit it as well
+    explained = bool(lasers) and not failed and lasers[0].rates_off < MISMATCH
+    differ &= not explained
     if differ and (failed or _left_over(points.points, prior, points.settings) <= 0) and not records.rate_of_beat:
         said = widened(said, _by_other_reference(points.points, said.value, common) / math.sqrt(3))
     said = widened(said, _OF_ALL * points.uneven / math.sqrt(3))
-    said = with_coupling(said, fit, points.points, prior, widen, doubtful=failed or differ, beats=beats)
     us, fitted = np.sqrt(np.diagonal(covariance)), np.where([True, True, *FREE[chosen]], 1.0, np.nan)
     rates = np.abs(records.rate[records.locked])
     possible = rates[rates <= said.high]
@@ -435,8 +451,8 @@ def _result(
         backscatter_phase_u=float(us[1]),
         distortion=float(values[2]),
         distortion_u=float(us[2] * fitted[2]),
-        gain_time=float(values[3]),
-        gain_time_u=float(us[3] * fitted[3]),
+        gain_time=lasers[0].gain_time[0] if lasers else float(values[3]),
+        gain_time_u=lasers[0].gain_time[1] if lasers else float(us[3] * fitted[3]),
         gain_time_limit=float(limit),
         lag_square=float(values[4]),
         lag_square_u=float(us[4] * fitted[4]),
@@ -473,15 +489,14 @@ def _result(
         flags=0,
         noise_model=records.noise_model + (UNEVEN if points.uneven else "") + (ENLARGED if widen > 1 else ""),
     )
-    flags = rates_flags(result, records, _left_over(points.points, prior, points.settings))
+    flags = rates_flags(result, records, _left_over(points.points, prior, points.settings), explained=explained)
     return replace(result, flags=flags | (RatesFlag.RATE_AND_BEAT_DISAGREE if differ else 0))
 
 
-def _test(fit: RatioFit, points: Points, degrees: int) -> tuple[float, float, float, int]:
+def _test(chi_square: float, degrees: int, fit: RatioFit, points: Points) -> tuple[float, float, float, int]:
     """Chi-square of the means, the smaller chance of it and of the scatter about them, and what follows."""
     # The last two: the factor by which the variances grow where chance does not explain it, and the degrees of
     # freedom of that factor, 0 where it is 1.
-    chi_square = float(fit.chi_square[0])
     # a drift that is hardly determined says nothing of single records
     steady, us = fit.parameters.copy(), np.sqrt(np.diagonal(fit.covariance[0]))
     steady[0, SENSES + 1 :] *= np.abs(steady[0, SENSES + 1 :]) > SIGNIFICANT * us[SENSES + 1 :]
@@ -623,7 +638,7 @@ def scale_factor_of_rates(scale_factor: float, points: Points, fit: RatioFit) ->
     return mean, spread
 
 
-def rates_flags(fit: RatesFit, records: RatioRecords, tested: int) -> int:
+def rates_flags(fit: RatesFit, records: RatioRecords, tested: int, *, explained: bool) -> int:
     """Bits of `RatesFlag` of a result that has none yet; `tested`: values that the records leave over."""
     size, u = fit.lock_in_rate, fit.lock_in_rate_u
     plain = next((m.lock_in_rate_u for m in fit.models if m.model == "lock-in"), u)
@@ -632,7 +647,7 @@ def rates_flags(fit: RatesFit, records: RatioRecords, tested: int) -> int:
     no_beat_above = np.abs(rate[fit.locked]) > fit.lock_in_rate_high_95
     rate_u = fit.each.records.rate_u
     disagree = rates_differ(rate, size, u, mismatch, rate_u) or mismatch_of_all(rate, size, u, mismatch) != 0
-    disagree = disagree or bool(np.any(inconsistent_rate(records, rate_u)))
+    disagree = (disagree and not explained) or bool(np.any(inconsistent_rate(records, rate_u)))
     explained = abs(fit.third_order) > EXPLAINED * fit.third_order_u
     misfits = sum(int(np.sum(block.misfit & fit.used[some])) for some, block in records.blocks())
     conditions = {
@@ -663,7 +678,7 @@ def rates_flags(fit: RatesFit, records: RatioRecords, tested: int) -> int:
 # is followed: at every gain time the rest is fitted, and what these fits give is averaged over the bound
 
 
-_GAIN_TIME = 3
+_GAIN_TIME, _GAIN_SEEN = 3, 3.3  # standard uncertainties of a gain time that is no chance
 _OF_THE_BOUND = np.concatenate([np.linspace(0.0, 1.0, 15), [1.2, 1.5, 2.0, 2.5]])
 _ABOUT_A_MINIMUM = np.linspace(-4.0, 4.0, 17)
 _SAME_SHARE, _SAME_U, _ENDS = 1e-3, 0.5, 4.0

@@ -1,0 +1,520 @@
+"""A two-mode laser fitted to all points of a run: beat harmonics, rates, and single beams where there are any.
+
+Every setting is the periodic solution of the equations of a two-mode laser (`analysis.two_mode_laser`) at the beat
+that was seen, and its signals go through the receivers. One least-squares fit has everything that was seen as its
+data, and whatever may spoil it as its unknowns, each with a bound. `analysis.single_beams` has the beams.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from analysis.arrays import Bools, Complexes, Floats, Indices, NoFit
+from analysis.budget import SCALE_FACTOR_LIMIT, TABLE_RATE_LIMIT, BenchKnowledge
+from analysis.lockin_rate import size_interval
+from analysis.several_rates.points import Points
+from analysis.several_rates.ratio_model import (
+    SENSES,
+    Prior,
+    RatioData,
+    in_standard_uncertainties,
+    nearest_series,
+    prior_of,
+)
+from analysis.two_mode_laser import lines_in_time, periodic_states, states_beside, steps_of_a_turn
+
+N_PARAMETERS = 25
+
+# Both backscatters, turned by the readout phase: complex logarithms of a1 e^(-i eps/2) and a2 e^(i eps/2), rad/s.
+# In logarithms the valleys of chi-square are straight
+FIRST, SECOND = slice(0, 2), slice(2, 4)
+# logarithm of g (rad/s), cross over self saturation
+GAIN, SATURATION = 4, 5
+# of the beat's receiver: second and third order, time of its pole (s)
+DISTORTION, LAG, THIRD_ORDER = 6, 7, 8
+# what changes: phase between the senses, over the run, its bend (rad), backscatter (relative)
+BETWEEN, TURN, BEND, DRIFT = 9, 10, 11, 12
+# of each beam's receiver: logarithm of the level's error, crosstalk of the beat and of the other beam, delay (s)
+LEVEL, CROSSTALK, OTHER_BEAM, DELAY = slice(13, 15), slice(15, 17), slice(17, 19), slice(19, 21)
+# error of the AC coupling's corner (Hz); light of the beams in the beat's receiver, over that of the fringes
+CORNER, PEDESTAL = 21, 22
+# of the rates of the table: their common relative error, and a constant (deg/s)
+SCALE, BIAS = 23, 24
+
+
+SATURATION_USUAL, _SATURATION_U, _MOST_SATURATION = 0.5, 0.25, 0.95
+_GAIN, _GAIN_U = math.log(2 * math.pi * 1000.0), 3.0  # a gain corner of 10 Hz to 100 kHz
+MOST_BIAS = 0.005  # deg/s: the earth rate
+_RECTANGLE = math.sqrt(3.0)
+
+
+@dataclass(frozen=True)
+class LaserData:
+    """Everything that one fit compares, of P points."""
+
+    points: Points
+    swing: Complexes  # (P, 2) modulation of the beams, and the reciprocal of its u, 0 where there is none
+    swing_weight: Floats
+    over: Floats  # (P, 2) amplitude of the beat over the level
+    rate_weight: Floats  # (P,) reciprocal of the u of each rate, deg/s; 0 where nobody knows it
+    beat_u: Floats  # (P,) Hz
+    mean: Floats  # (N_PARAMETERS,) known beforehand, and its standard deviation
+    sd: Floats
+    ac_corner_hz: float  # of the coupling that was taken out of the beams
+    harmonics: bool = True  # whether ratio and third harmonic count
+    # of ln(a2/a1) and of the sum of the phases, where no beam tells them
+    usual: tuple[float, float] = (math.inf, math.inf)
+
+    @property
+    def degrees(self) -> int:
+        """Values less unknowns of which nothing is known beforehand."""
+        points = self.points.points
+        values = [self.swing_weight, points.ratio] * 2 + [self.rate_weight, points.third_weight]
+        known = int(np.count_nonzero(np.isfinite(self.usual)))
+        return sum(int(np.count_nonzero(one)) for one in values) + known - int(np.count_nonzero(np.isinf(self.sd)))
+
+
+def beforehand(some: RatioData, bench: BenchKnowledge) -> tuple[Floats, Floats]:
+    """Mean and standard deviation of laser, receiver and rates before there are data, (N_PARAMETERS,)."""
+    slowest, corner = float(some.angular.min()) / (2 * np.pi), bench.gain
+    before = prior_of(bench, slowest).seen_by(some)
+    mean, sd = np.zeros(N_PARAMETERS), np.full(N_PARAMETERS, np.inf)
+    mine = [DISTORTION, LAG, THIRD_ORDER, BETWEEN, TURN, BEND, DRIFT]
+    mean[mine], sd[mine] = before.mean[[2, *range(4, 10)]], before.sd[[2, *range(4, 10)]]
+    longest = math.sqrt(sd[LAG] * _RECTANGLE)  # that is of the square of a time
+    mean[LAG], sd[LAG] = longest / 2, longest / 2 / _RECTANGLE
+    if bench.bandwidth.corrected:
+        mean[LAG], sd[LAG] = 0.0, longest / _RECTANGLE  # of what is left
+    mean[GAIN], sd[GAIN] = _GAIN, _GAIN_U
+    if corner.u_hz > 0:
+        mean[GAIN], sd[GAIN] = math.log(2 * math.pi * corner.hz), corner.u_hz / corner.hz
+    mean[SATURATION], sd[SATURATION] = SATURATION_USUAL, _SATURATION_U
+    sd[SCALE] = math.hypot(SCALE_FACTOR_LIMIT, TABLE_RATE_LIMIT) / _RECTANGLE
+    sd[BIAS] = MOST_BIAS / _RECTANGLE
+    return mean, sd
+
+
+# --------------------
+# The model: a periodic solution for every setting, seen by three receivers
+
+
+_FAILED = 1e6  # in standard uncertainties, where there is no solution
+_DETOUR = (0.3, 0.6, 0.8, 0.9, 1.0)  # of the backscatter, on the way to all of it
+
+
+def _lasers(parameters: Floats, data: LaserData) -> tuple[Floats, Floats]:
+    """Lasers of B sets at P points for :func:`periodic_states`, (B, P, 5), and their readout phases (B, P)."""
+    some, column = data.points.points, parameters[:, np.newaxis]
+    turned = column[..., BETWEEN] * np.sign(some.rate) / 2 + column[..., TURN] * some.when
+    turned = turned + column[..., BEND] * (6 * some.when**2 - 0.5)
+    then = (1 + column[..., DRIFT] * some.when) * np.exp(1j * turned)
+    first, second = (_backscatter(column[..., part]) * then for part in (FIRST, SECOND))
+    half = np.angle(second * np.conj(first)) / 2
+    saturation = np.clip(column[..., SATURATION], 0.0, _MOST_SATURATION) + 0 * half
+    gain = np.exp(np.minimum(column[..., GAIN], 30.0)) + 0 * half
+    numbers = np.stack([np.abs(first), np.abs(second), half, saturation, gain], axis=-1)
+    return numbers, -np.angle(first * np.exp(1j * half))
+
+
+def _backscatter(part: Floats) -> Complexes:
+    """A complex number (...), rad/s, from its logarithm (..., 2)."""
+    return np.asarray(np.exp(np.clip(part[..., 0], -30.0, 30.0) + 1j * part[..., 1]))
+
+
+class LaserModel:
+    """The model of some data; of several sets of parameters the last is solved, others must be beside it."""
+
+    def __init__(self, data: LaserData, near: LaserFit | None = None) -> None:
+        self.data, some = data, data.points.points
+        self.states = np.zeros((some.rate.size, 2, steps_of_a_turn(some.ratio)))
+        self.sagnac = np.sign(some.rate) * some.angular  # what was found last is where the next search begins
+        self.softer = 1.0  # times as much noise as there is
+        if near is not None:
+            near.model.predicted(near.parameters[np.newaxis])  # leaves its states there
+            self.states, self.sagnac = near.model.states, near.model.sagnac
+
+    def residual(self, parameters: Floats) -> Floats:
+        """Everything in its standard uncertainties for parameters (B, N_PARAMETERS): (B, values)."""
+        data, some = self.data, self.data.points.points
+        ratio, third, swing, sagnac, found = self.predicted(parameters)
+        of_ratio, of_third = in_standard_uncertainties(some.ratio - ratio, some.third - third, some)
+        of_swing = (data.swing - swing) * data.swing_weight
+        of_rate = self.of_rate(parameters, sagnac)
+        fixed = data.sd > 0
+        before = (data.mean - parameters)[:, fixed] / data.sd[fixed]
+        if math.isfinite(data.usual[0]):
+            turned = np.angle(np.exp(1j * (parameters[:, 3] - parameters[:, 1])))
+            unusual = np.stack([parameters[:, 2] - parameters[:, 0], turned], axis=-1) / data.usual
+            before = np.concatenate([before, unusual], axis=-1)
+        counts = float(data.harmonics)
+        with np.errstate(invalid="ignore"):
+            of_ratio, of_third = counts * of_ratio, counts * of_third
+        parts = of_ratio, of_third, of_swing.real, of_swing.imag, of_rate
+        seen = [part.reshape(len(parameters), -1) / self.softer for part in parts]
+        whole = np.concatenate([*seen, before], axis=-1)
+        return np.where(found[:, np.newaxis] & np.isfinite(whole), whole, _FAILED)
+
+    def of_rate(self, parameters: Floats, sagnac: Floats) -> Floats:
+        """What rates (B, P) leave of those of the table, in standard uncertainties."""
+        rate = sagnac / (2 * np.pi * self.data.points.records.records.scale_factor)
+        known = self.data.points.points.rate * (1 + parameters[:, SCALE, np.newaxis])
+        return np.asarray((known + parameters[:, BIAS, np.newaxis] - rate) * self.data.rate_weight)
+
+    def predicted(self, parameters: Floats) -> tuple[Complexes, Floats, Complexes, Floats, Bools]:
+        """Ratio, third harmonic (B, P), modulation of the beams (B, P, 2), 2 pi K W (B, P); sets that have any."""
+        data, angular, column = self.data, self.data.points.points.angular, parameters[:, np.newaxis]
+        (numbers, readout), shape = _lasers(parameters, data), (len(parameters), angular.size)
+        light = self._light(numbers.reshape(-1, 5))
+        # records turn while they are taken: their mean is that of two
+        parts = []
+        for beside, weight in zip(data.points.beside, data.points.beside_weights, strict=True):
+            turning = column[..., TURN] + 6 * column[..., BEND] * (2 * data.points.points.when + beside)
+            seen = self._seen(parameters, readout - turning * beside, light)
+            parts.append([each.reshape(*shape, -1) * weight[:, np.newaxis] for each in seen])
+        ratio, third, swing = (one + other for one, other in zip(*parts, strict=True))
+        swing = swing / (1 + 1j * angular[:, np.newaxis] * column[..., DELAY])
+        swing = swing + column[..., CROSSTALK] * data.over + column[..., OTHER_BEAM] * swing[..., ::-1]
+        hertz, stated = angular[:, np.newaxis] / (2 * np.pi), data.ac_corner_hz
+        corner = (hertz - 1j * stated) / (hertz - 1j * (stated + column[..., CORNER, np.newaxis]))
+        swing = np.exp(column[..., LEVEL]) * swing * corner
+        found = np.asarray(light.found[light.of_set].reshape(shape).all(axis=1))
+        return ratio[..., 0], third[..., 0].real, swing, light.sagnac[light.of_set].reshape(shape), found
+
+    def _seen(self, parameters: Floats, readout: Floats, light: _Light) -> tuple[Complexes, Floats, Complexes]:
+        """Ratio and third harmonic (B P,), and swing of the beams (B P, 2) in front of their receivers."""
+        lines = self._lines(parameters, readout.reshape(-1, 1), light)
+        with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+            w, value = nearest_series(lines, lines[:, 1] / lines[:, 0])
+            turn = np.abs(value) / value
+            left = lines[:, 2] - (1 - np.abs(w) ** 2) * value * np.conj(w) ** 2
+            third = (left * turn**3).real / np.abs(value)
+        beams = np.einsum("bik,bk->bi", light.beams, light.kernel[:, 0])[light.of_set]
+        return np.conj(w) * turn, third, beams * (np.abs(lines[:, 0]) / lines[:, 0])[:, np.newaxis]
+
+    def _light(self, numbers: Floats) -> _Light:
+        """Periodic solutions for the lasers (B P, 5) of all sets: each different one once."""
+        some, n = self.data.points.points, self.states.shape[-1]
+        place = np.tile(np.arange(some.rate.size), len(numbers) // some.rate.size)
+        # most parameters leave the laser as it is
+        _, which, back = np.unique(
+            np.column_stack([numbers, place]), axis=0, return_index=True, return_inverse=True
+        )
+        lasers, at = numbers[which], place[which]
+        last = numbers[-some.rate.size :]
+        values, sagnac, found = _by_degrees(last, self.sagnac, self.states, some.angular)
+        if found.all():
+            self.states, self.sagnac = values, sagnac
+        if found.all() and len(lasers) > len(last):
+            values, sagnac = states_beside(lasers, last, at, sagnac, values, some.angular)
+        else:
+            values, sagnac = values[at], sagnac[at]
+        psi, kernel, _ = lines_in_time(lasers, sagnac, values, n // 2)
+        return _Light(psi, np.exp(values), kernel, sagnac, found[at], back.ravel())
+
+    def _lines(self, parameters: Floats, readout: Floats, light: _Light) -> Complexes:
+        """Harmonics (B P, n // 2) of the beat behind its receiver, over its amplitude."""
+        some, column, back = self.data.points.points, parameters[:, np.newaxis], light.of_set
+        fringes = np.sqrt(light.beams.prod(axis=1))[back] * np.sin(light.psi[back] + readout)
+        pedestal = np.repeat(parameters[:, PEDESTAL], some.rate.size)[:, np.newaxis]
+        signal = fringes + pedestal * (light.beams.mean(axis=1) - 1)[back]
+        # how much light there is the records say, in `amplitude`: the laser gives the shape
+        signal /= np.abs(np.einsum("bk,bk->b", signal, light.kernel[back, 0]))[:, np.newaxis]
+        x = some.angular * column[..., LAG]
+        amplitude = some.amplitude * np.hypot(1.0, x)  # before the pole
+        curved = (column[..., DISTORTION] * amplitude).reshape(-1, 1)
+        cubic = column[..., THIRD_ORDER] * amplitude**2
+        cubic = (cubic / (1 - 3 * cubic)).reshape(-1, 1)
+        signal = (signal + 4 * cubic * signal**3) / (1 + 3 * cubic) + 2 * curved * signal**2
+        lines = np.einsum("bk,bmk->bm", signal, light.kernel[back])
+        return np.asarray(lines / (1 + 1j * x.reshape(-1, 1) * np.arange(1, lines.shape[1] + 1)))
+
+
+@dataclass(frozen=True)
+class _Light:
+    """Periodic solutions of L different lasers at n even steps of their phase."""
+
+    psi: Floats  # (L, n)
+    beams: Floats  # (L, 2, n) I1 and I2
+    kernel: Complexes  # (L, n // 2, n) gives the harmonics in time
+    sagnac: Floats  # (L,) 2 pi K W, and whether there is a solution
+    found: Bools
+    of_set: Indices  # (B P,) which of them each set has at each point
+
+
+def _by_degrees(lasers: Floats, sagnac: Floats, start: Floats, angular: Floats) -> tuple[Floats, Floats, Bools]:
+    """As :func:`periodic_states`; where it finds none, by way of weaker backscatter."""
+    values, rates, found = periodic_states(lasers, sagnac, start, angular)
+    lost = np.flatnonzero(~found)
+    if lost.size:
+        free = np.sign(sagnac[lost]) * angular[lost]
+        some, then = np.zeros_like(start[lost]), free
+        for share in _DETOUR:
+            weaker = lasers[lost] * np.array([share, share, 1.0, 1.0, 1.0])
+            some, then, there = periodic_states(weaker, then, some, angular[lost])
+            some, then = np.where(there[:, np.newaxis, np.newaxis], some, 0.0), np.where(there, then, free)
+        values[lost], rates[lost], found[lost] = some, then, there
+    return values, rates, found
+
+
+# --------------------
+# The fit
+
+
+POSSIBLE = 9.0  # chi-square above the best up to which another solution is possible
+EVALUATIONS = 60  # steps of a search to the end
+_HOPELESS, _GOOD = 100.0, 2.0  # chi-square over the values: no laser is near; much worse places are left alone
+_SETTLED = 1e-9  # a step that changes chi-square by less, relatively, was the last one
+_SMALL = 1e-6  # step of a parameter of which nothing is known
+_SHOWN = 0.05  # u of a turn over that beforehand, where records show it
+_TURNED = np.array([-1.5, -0.5, 0.5, 1.5])  # of the same, turns from which a search begins where they do not
+
+
+@dataclass(frozen=True)
+class LaserFit:
+    """One minimum of chi-square."""
+
+    model: LaserModel
+    parameters: Floats
+    covariance: Floats  # (N_PARAMETERS, N_PARAMETERS), 0 where held
+    chi_square: float
+    log_volume: float
+    values: int  # residuals that there are
+
+    @classmethod
+    def at(cls, model: LaserModel, parameters: Floats) -> LaserFit:
+        """What the slopes of the model say about some parameters."""
+        free = np.flatnonzero(model.data.sd > 0)
+        residual = model.residual(parameters[np.newaxis])[0]
+        slopes = _jacobian(model, parameters, free)
+        size = np.maximum(np.linalg.norm(slopes, axis=0), 1e-100)
+        eigenvalues, vectors = np.linalg.eigh((slopes / size).T @ (slopes / size))
+        eigenvalues = np.maximum(eigenvalues, 1e-14)
+        covariance = np.zeros((N_PARAMETERS, N_PARAMETERS))
+        covariance[np.ix_(free, free)] = (vectors / eigenvalues) @ vectors.T / np.outer(size, size)
+        volume = -0.5 * float(np.sum(np.log(eigenvalues))) - float(np.sum(np.log(size)))
+        return cls(model, parameters, covariance, float(residual @ residual), volume, residual.size)
+
+    def apart(self, other: LaserFit) -> Floats:
+        """Differences of both backscatters from another's: of logarithms, and rad."""
+        # where no beam is seen nobody can say which of the two it is
+        alike = [[0, 1, 2, 3], [2, 3, 0, 1]][: 2 if math.isfinite(self.model.data.usual[0]) else 1]
+        differences = self.parameters[alike] - other.parameters[:4]
+        differences[:, 1::2] = np.angle(np.exp(1j * differences[:, 1::2]))
+        return np.asarray(differences[np.argmin(np.abs(differences).max(axis=1))])
+
+    def coupling(self, widen: float, *, per_rate: bool = False) -> tuple[tuple[float, ...], tuple[float, float]]:
+        """|C| freed of the bias of its size, its u and 95 % interval (rad/s), and the phase of C with its u."""
+        # per rate as the table has it: a scale factor that is wrong moves beats and coupling alike
+        first, second = (complex(_backscatter(self.parameters[part])) for part in (FIRST, SECOND))
+        both, whole = np.hstack([[[c.real, -c.imag], [c.imag, c.real]] for c in (first, second)]), first + second
+        spread = both @ self.covariance[:4, :4] @ both.T * widen
+        size = max(abs(whole), 1e-300)
+        along, across = np.array([whole.real, whole.imag]) / size, np.array([-whole.imag, whole.real]) / size
+        u, across_u = (math.sqrt(max(float(way @ spread @ way), 1e-300)) for way in (along, across))
+        scale = 1.0
+        if per_rate:
+            slopes, scale = both.T @ along / size, 1 + float(self.parameters[SCALE])
+            with_scale = self.covariance[SCALE, :4] @ slopes / scale
+            share = max(
+                (u / size) ** 2 + widen * (self.covariance[SCALE, SCALE] / scale**2 - 2 * with_scale), 1e-24
+            )
+            size, u, across_u = size / scale, size / scale * math.sqrt(share), across_u / scale
+        low, high = size_interval(size / u)
+        # a phase that turns makes the angle uncertain, and the size none the larger
+        turns = BETWEEN + np.flatnonzero(np.diagonal(self.covariance)[BETWEEN:DRIFT] > 0)
+        shared = self.covariance[turns, :4] @ (across @ both) / scale
+        by_turns = widen * float(shared @ np.linalg.solve(self.covariance[np.ix_(turns, turns)], shared))
+        freed = math.sqrt(max(size**2 - max(across_u**2 - by_turns, 0.0), 0.0))
+        return (freed, u, float(low) * u, float(high) * u), (float(np.angle(whole)), across_u / size)
+
+    @property
+    def gain_time(self) -> tuple[float, float]:
+        """1/g_c and its standard uncertainty, s."""
+        time = math.exp(-float(self.parameters[GAIN]))
+        return time, time * float(np.sqrt(self.covariance[GAIN, GAIN]))
+
+    @property
+    def rates_off(self) -> float:
+        """Largest share by which rates of the table may be off and still be those of the laser."""
+        some, weight = self.model.data.points.points, self.model.data.rate_weight
+        return float(np.max(1 / np.maximum(np.abs(some.rate) * weight, 1e-300)))
+
+    def push(self) -> Floats:
+        """Share by which each beat is faster than the lock-in equation says, (P,)."""
+        sagnac = self.model.predicted(self.parameters[np.newaxis])[3][0]
+        coupling = abs(complex(_backscatter(self.parameters[FIRST]) + _backscatter(self.parameters[SECOND])))
+        by_lock_in = np.sqrt(np.maximum(sagnac**2 - coupling**2, 1e-300))
+        return np.asarray(self.model.data.points.points.angular / by_lock_in - 1)
+
+    def corrected(self, widen: float) -> tuple[Floats, Floats]:
+        """Beat that each point would have without backscatter, Hz, signed, and its u."""
+        steps = _steps(self.model.data)
+        *moved, sagnac = self.model.predicted(
+            np.concatenate([self.parameters + steps, self.parameters[np.newaxis]])
+        )[3]
+        slopes = (np.array(moved) - sagnac) / np.diagonal(steps)[:, np.newaxis]
+        variance = np.einsum("ip,ij,jp->p", slopes, self.covariance, slopes) * widen
+        u = np.sqrt(np.maximum(variance, 0.0)) / (2 * np.pi)
+        return sagnac / (2 * np.pi), np.hypot(u, self.model.data.beat_u)  # what shifts the beat shifts it as much
+
+
+def _steps(data: LaserData) -> Floats:
+    """A step of each parameter, (N_PARAMETERS, N_PARAMETERS), by which derivatives are taken."""
+    return np.diag(np.where(np.isfinite(data.sd) & (data.sd > 0), 1e-4 * data.sd, _SMALL))
+
+
+def search(model: LaserModel, start: Floats, evaluations: int) -> tuple[Floats, float] | None:
+    """Least squares from a start: parameters and chi-square; ``None`` where no laser is near it."""
+    from scipy.optimize import least_squares  # takes as long to import as all else
+
+    free = np.flatnonzero(model.data.sd > 0)
+
+    def whole(values: Floats) -> Floats:
+        parameters = start.copy()
+        parameters[free] = values
+        return parameters
+
+    def residual(values: Floats) -> Floats:
+        return np.asarray(model.residual(whole(values)[np.newaxis])[0])
+
+    def slope(values: Floats) -> Floats:
+        return _jacobian(model, whole(values), free)
+
+    if residual(start[free])[0] == _FAILED:
+        return None
+    made = least_squares(
+        residual, start[free], jac=slope, x_scale="jac", max_nfev=evaluations, ftol=_SETTLED, xtol=None, gtol=None
+    )
+    return whole(made.x), 2 * float(made.cost)
+
+
+def _jacobian(model: LaserModel, parameters: Floats, free: Indices) -> Floats:
+    """Derivatives of the residuals, (values, free)."""
+    steps = _steps(model.data)[free]
+    both = model.residual(np.concatenate([parameters + steps, parameters[np.newaxis]]))
+    return np.asarray(((both[:-1] - both[-1]) / steps[np.arange(free.size), free][:, np.newaxis]).T)
+
+
+def solutions(model: LaserModel, looked: list[tuple[Floats, float]]) -> list[LaserFit]:
+    """The minima that are possible, the best first, from parameters and chi-square of some looks at them."""
+    data = model.data
+    found: list[LaserFit] = []
+    for start, cost in looked:
+        if found and cost > looked[0][1] + 1e3 and found[0].chi_square < _GOOD * found[0].values:
+            break
+        end = search(model, start, EVALUATIONS)
+        if end is None:
+            continue
+        found = _with(found, LaserFit.at(model, end[0]))
+    if not found:
+        raise NoFit("no two-mode laser fits the records")
+    best = min(found, key=lambda one: one.chi_square)
+    if len(looked) > 1 and best.covariance[TURN, TURN] > (_SHOWN * data.sd[TURN]) ** 2:
+        # phases that turn stand for a coupling at another angle, and a ridge may be between the two
+        held = LaserModel(replace(data, sd=np.where(np.arange(N_PARAMETERS) == TURN, 0.0, data.sd)), best)
+        for turn in _TURNED * data.sd[TURN]:
+            start = np.where(np.arange(N_PARAMETERS) == TURN, turn, best.parameters)
+            end = search(held, start, EVALUATIONS)
+            end = end and search(model, end[0], EVALUATIONS)
+            found = found if end is None else _with(found, LaserFit.at(model, end[0]))
+    found.sort(key=lambda one: one.chi_square)
+    if found[0].chi_square > _HOPELESS * found[0].values:
+        raise NoFit("no two-mode laser is near what the records show: is its backscatter too strong for its gain?")
+    return [one for one in found if one.chi_square < found[0].chi_square + POSSIBLE]
+
+
+def _with(found: list[LaserFit], one: LaserFit) -> list[LaserFit]:
+    """The minima and one more, if it is another."""
+    u = 1e-3 + 0.5 * np.sqrt(np.diagonal(one.covariance)[:4])
+    return found if any(np.all(np.abs(one.apart(other)) < u) for other in found) else [*found, one]
+
+
+def laplace(found: list[LaserFit], widen: float, *, per_rate: bool = False) -> list[tuple[float, ...]]:
+    """Coupling of all minima, u of all about the best and the interval that holds them; then of each; rad/s."""
+    # the share of the probability under each goes with its height and its volume, as in the fit of equation (1)
+    each = [one.coupling(widen, per_rate=per_rate)[0] for one in found]
+    likely = np.exp([-0.5 * (one.chi_square - found[0].chi_square) / widen + one.log_volume for one in found])
+    likely /= likely.sum()
+    value = each[0][0]
+    u = math.sqrt(sum(w * (one[1] ** 2 + (one[0] - value) ** 2) for w, one in zip(likely, each, strict=True)))
+    return [(value, u, min(one[2] for one in each), max(one[3] for one in each)), *each]
+
+
+# --------------------
+# The beat alone: its harmonics say what a laser adds to each ratio, and its rates how much it pushes each beat.
+#
+# Equation (1) of `ratio_model` knows one kind of backscatter, as strong from both beams, their phases adding up to
+# zero. Far from it ratios show another lock-in rate, by shares of c = (B_s/g_d)^2: B_s the part of the backscatter
+# that takes no energy, g_d the rate at which the difference of the beams relaxes. And it pushes the beat up,
+# equation (4) of docs/several_rates.md, in each sense by its own share.
+
+
+LEAST_U = 1e-6
+"""Of a rate: no table turns more steadily from one to the next, whatever its display says."""
+
+BACKSCATTER = np.array([[-math.radians(60.0), -math.log(2.5), 0.35], [math.radians(60.0), math.log(2.5), 0.65]])
+"""Between which a laser usually is: sum of the phases, rad; logarithm of a2/a1; cross over self saturation."""
+
+_LOGARITHMS, _ANGLES = (0.15, 0.7), (-0.9, -0.3, 0.3, 0.9)  # from which a search begins; exchanged beams are alike
+_FIRST_LOOK, _LOOKED_AT = 8, 3  # evaluations of a first look; how many of them are followed
+_STATED, _ROUNDS = 4.0, 3  # degrees of freedom of uncertainties that were stated
+_SHORTEST = 1e-12  # s, of a gain time
+
+
+def lasers_of_beat(points: Points, start: Floats, known: Prior, bench: BenchKnowledge) -> list[LaserFit]:
+    """Lasers that harmonics and rates allow, the likeliest first; begun from parameters of equation (1)."""
+    records, some, p = points.records, points.points, points.points.rate.size
+    mean, sd = beforehand(some, bench)
+    sd[LEVEL.start : DELAY.stop], sd[[CORNER, PEDESTAL]], sd[BETWEEN : DRIFT + 1] = 0.0, 0.0, known.sd[SENSES:]
+    half = np.ptp(BACKSCATTER, axis=0) / 2
+    sd[SATURATION] = half[2] / _RECTANGLE
+    rate_u, beats = np.zeros(p), np.zeros((2, p))
+    for rows, block in records.blocks():
+        np.maximum.at(rate_u, points.places[block], records.rate_u[rows])
+        beats += points.places.sums(block, np.ones(block.rate.shape), block.beat_frequency_u**2)
+    beat_u = np.sqrt(beats[1]) / beats[0]
+    rates = np.abs(some.rate)
+    by_beat = some.beat_rate / rates * beat_u / records.records.scale_factor
+    weight = 1 / np.sqrt(rate_u**2 + (LEAST_U * rates) ** 2 + by_beat**2)
+    weight *= not records.records.rate_of_beat
+    sd[[SCALE, BIAS]] *= weight.any()
+    nothing = np.zeros((p, 2))
+    usual = half[1] / _RECTANGLE, half[0] / _RECTANGLE
+    swing = nothing.astype(np.complex128)
+    data = LaserData(points, swing, nothing, nothing, weight, beat_u, mean, sd, 0.0, usual=usual)
+    model, looked = LaserModel(data), list[tuple[Floats, float]]()
+    for angle in _ANGLES:
+        for logarithm in _LOGARITHMS:
+            end = search(model, _as_laser(start, angle, logarithm, data), _FIRST_LOOK)
+            looked += [end] if end else []
+    looked.sort(key=lambda one: one[1])
+    found = solutions(model, looked[:_LOOKED_AT])
+    for _ in range(_ROUNDS):
+        # what each rate is known to was stated, and is good for as much as some more rates would tell of it
+        best = found[0]
+        sagnac = best.model.predicted(best.parameters[np.newaxis])[3]
+        left = float(np.sum(best.model.of_rate(best.parameters[np.newaxis], sagnac) ** 2))
+        scale = (_STATED + left) / (_STATED + np.count_nonzero(weight))
+        if scale < 1:
+            break
+        model = LaserModel(
+            replace(best.model.data, rate_weight=best.model.data.rate_weight / math.sqrt(scale)), best
+        )
+        found = solutions(model, [(one.parameters, one.chi_square) for one in found])
+    return found
+
+
+def _as_laser(start: Floats, angle: float, logarithm: float, data: LaserData) -> Floats:
+    """Parameters of a laser with the coupling and all else of equation (1) (10,)."""
+    made = np.where(np.isfinite(data.sd), data.mean, 0.0)
+    first, second = np.exp(-0.5j * angle), np.exp(logarithm + 0.5j * angle)
+    scale = 2 * np.pi * data.points.records.records.scale_factor * complex(*start[:2]) / (first + second)
+    made[FIRST] = math.log(abs(scale)), np.angle(scale * first)
+    made[SECOND] = math.log(abs(scale * second)), made[1] + angle
+    made[GAIN] = -math.log(max(float(start[3]), _SHORTEST))
+    made[[DISTORTION, THIRD_ORDER, BETWEEN, TURN, BEND, DRIFT]] = start[[2, 5, 6, 7, 8, 9]]
+    made[LAG] = math.sqrt(max(float(start[4]), 0.0))
+    return np.where(data.sd > 0, made, data.mean)

@@ -220,8 +220,10 @@ class LaserModel:
         fringes = np.sqrt(light.beams.prod(axis=1))[back] * np.sin(light.psi[back] + readout)
         pedestal = np.repeat(parameters[:, PEDESTAL], some.rate.size)[:, np.newaxis]
         signal = fringes + pedestal * (light.beams.mean(axis=1) - 1)[back]
-        # how much light there is the records say, in `amplitude`: the laser gives the shape
-        signal /= np.abs(np.einsum("bk,bk->b", signal, light.kernel[back, 0]))[:, np.newaxis]
+        # how much light there is the records say, in `amplitude`: the laser gives the shape. That is the amplitude of
+        # the whole series, whose fundamental is smaller by the square of its ratio
+        one, two = np.abs(np.einsum("bk,bmk->mb", signal, light.kernel[back, :2]))
+        signal *= ((1 - (two / one) ** 2) / one)[:, np.newaxis]
         x = some.angular * column[..., LAG]
         amplitude = some.amplitude * np.hypot(1.0, x)  # before the pole
         curved = (column[..., DISTORTION] * amplitude).reshape(-1, 1)

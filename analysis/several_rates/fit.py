@@ -21,6 +21,7 @@ from analysis.budget import BenchKnowledge
 from analysis.lockin_rate import LockInEstimate
 from analysis.several_rates.laser_fit import LaserFit, lasers_of_beat
 from analysis.several_rates.points import (
+    FASTER_THAN_POSSIBLE,
     MISMATCH,
     Points,
     RatioRecords,
@@ -424,7 +425,8 @@ def _result(
     common, differ = _rates_differ(points.records, said, mismatch, bool(np.ptp(points.rate_group)))
     failed = p_value < UNLIKELY
     # a laser that fits says why beats are not those of the lock-in equation, if the rates fit it as well
-    explained = bool(lasers) and not failed and lasers[0].rates_off < MISMATCH
+    off = lasers[0].rates_off if lasers else np.full(1, np.inf)
+    explained = not failed and bool(np.all(np.abs(off) < MISMATCH) and abs(np.median(off)) < FASTER_THAN_POSSIBLE)
     differ &= not explained
     if differ and (failed or _left_over(points.points, prior, points.settings) <= 0) and not records.rate_of_beat:
         said = widened(said, _by_other_reference(points.points, said.value, common) / math.sqrt(3))
@@ -453,6 +455,7 @@ def _result(
         distortion_u=float(us[2] * fitted[2]),
         gain_time=lasers[0].gain_time[0] if lasers else float(values[3]),
         gain_time_u=lasers[0].gain_time[1] if lasers else float(us[3] * fitted[3]),
+        any_backscatter=bool(lasers),
         gain_time_limit=float(limit),
         lag_square=float(values[4]),
         lag_square_u=float(us[4] * fitted[4]),
@@ -688,9 +691,7 @@ _INTERVAL, _TAILS, _STEPS = (0.025, 0.975), 6.0, 4001
 def over_gain_times(
     said: RatesAnswer, found: RatioFit, data: RatioData, prior: Prior, widen: float
 ) -> RatesAnswer:
-    """The same value with what any gain time within its bound may make of it."""
-    # The bench may have no gain time to speak of, as `said` takes it, or one anywhere within the bound: both count
-    # half, so that u is the root of the mean of both squares. The interval holds that of either.
+    """What any gain time within its bound may make of the answer; the interval holds that of none as well."""
     mean, sd = prior.mean[_GAIN_TIME], prior.sd[_GAIN_TIME]
     beforehand = mean + sd * _ABOUT_A_MINIMUM if mean > 0 else math.sqrt(3) * sd * _OF_THE_BOUND
     us = np.sqrt(found.covariance[:, _GAIN_TIME, _GAIN_TIME] * widen)
@@ -729,12 +730,14 @@ def over_gain_times(
     ) * np.exp(-heights)
     weights /= weights.sum()
     values, us = np.hypot(fits.parameters[:, 0], fits.parameters[:, 1]), size_us(fits) * math.sqrt(widen)
-    square = float(np.sum(weights * (us**2 + (values - said.value) ** 2)))
+    # the mean of what belongs to this solution; the others count in u and in the interval
+    nearest = np.abs(np.subtract.outer([said.value, *(one.lock_in_rate for one in said.others)], values))
+    value = float(np.average(values, weights=weights * (nearest.argmin(axis=0) == 0) + 1e-300))
+    u = math.sqrt(float(np.sum(weights * (us**2 + (values - value) ** 2))))
     sizes = np.linspace(np.min(values - _TAILS * us), np.max(values + _TAILS * us), _STEPS)
     below = scipy.special.ndtr((sizes[:, np.newaxis] - values) / us) @ weights  # of the sum of bells
     low, high = (float(end) for end in np.interp(_INTERVAL, below, sizes))
-    u = math.sqrt((said.u**2 + square) / 2)
-    return RatesAnswer(said.value, u, min(said.low, max(low, 0.0)), max(said.high, high), said.others)
+    return RatesAnswer(value, u, min(said.low, max(low, 0.0)), max(said.high, high), said.others)
 
 
 # --------------------

@@ -220,8 +220,8 @@ class LaserModel:
         fringes = np.sqrt(light.beams.prod(axis=1))[back] * np.sin(light.psi[back] + readout)
         pedestal = np.repeat(parameters[:, PEDESTAL], some.rate.size)[:, np.newaxis]
         signal = fringes + pedestal * (light.beams.mean(axis=1) - 1)[back]
-        # how much light there is the records say, in `amplitude`: the laser gives the shape. That is the amplitude of
-        # the whole series, whose fundamental is smaller by the square of its ratio
+        # how much light there is the records say, in `amplitude`: the laser gives the shape. That is of the whole
+        # series, whose fundamental is smaller by the square of its ratio
         one, two = np.abs(np.einsum("bk,bmk->mb", signal, light.kernel[back, :2]))
         signal *= ((1 - (two / one) ** 2) / one)[:, np.newaxis]
         x = some.angular * column[..., LAG]
@@ -339,10 +339,11 @@ class LaserFit:
         return time, time * float(np.sqrt(self.covariance[GAIN, GAIN]))
 
     @property
-    def rates_off(self) -> float:
-        """Largest share by which rates of the table may be off and still be those of the laser."""
-        some, weight = self.model.data.points.points, self.model.data.rate_weight
-        return float(np.max(1 / np.maximum(np.abs(some.rate) * weight, 1e-300)))
+    def rates_off(self) -> Floats:
+        """Shares by which the rates of the table are not those of the laser, (P,)."""
+        points = self.model.data.points
+        rate = self.model.predicted(self.parameters[np.newaxis])[3][0] / (2 * np.pi)
+        return np.asarray(rate / (points.records.records.scale_factor * points.points.rate) - 1)
 
     def push(self) -> Floats:
         """Share by which each beat is faster than the lock-in equation says, (P,)."""
@@ -464,6 +465,7 @@ _LOGARITHMS, _ANGLES = (0.15, 0.7), (-0.9, -0.3, 0.3, 0.9)  # from which a searc
 _FIRST_LOOK, _LOOKED_AT = 8, 3  # evaluations of a first look; how many of them are followed
 _STATED, _ROUNDS = 4.0, 3  # degrees of freedom of uncertainties that were stated
 _SHORTEST = 1e-12  # s, of a gain time
+_ANY_SCALE = 0.1  # of what all rates have in common: nothing is taken for known
 
 
 def lasers_of_beat(points: Points, start: Floats, known: Prior, bench: BenchKnowledge) -> list[LaserFit]:
@@ -482,7 +484,7 @@ def lasers_of_beat(points: Points, start: Floats, known: Prior, bench: BenchKnow
     by_beat = some.beat_rate / rates * beat_u / records.records.scale_factor
     weight = 1 / np.sqrt(rate_u**2 + (LEAST_U * rates) ** 2 + by_beat**2)
     weight *= not records.records.rate_of_beat
-    sd[[SCALE, BIAS]] *= weight.any()
+    sd[SCALE], sd[BIAS] = _ANY_SCALE * weight.any(), sd[BIAS] * weight.any()
     nothing = np.zeros((p, 2))
     usual = half[1] / _RECTANGLE, half[0] / _RECTANGLE
     swing = nothing.astype(np.complex128)

@@ -149,6 +149,7 @@ class RatesFit:
     distortion, distortion_u : second harmonic that the receiver makes of a sine, over its fundamental, at the mean
         amplitude of the records; negative where it is in antiphase
     gain_time, gain_time_u : s, 1/g_c; noise may make it negative. What was not fitted is nan
+    any_backscatter : whether unequal or turned backscatter of the beams was fitted too
     gain_time_limit : s, upper 95 % limit where the gain corner was not fitted, nan where the data know none
     gain_corner_hz, gain_corner_low_95_hz, gain_corner_high_95_hz : g_c/2 pi; inf where no end is seen
     lag_square, lag_square_u : s^2, square of the time constant of the receiver's pole; noise may make it negative
@@ -185,6 +186,7 @@ class RatesFit:
     distortion_u: float
     gain_time: float
     gain_time_u: float
+    any_backscatter: bool
     gain_time_limit: float
     lag_square: float
     lag_square_u: float

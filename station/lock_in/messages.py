@@ -187,7 +187,7 @@ LEAST_DRIFT, LEAST_TURN = 0.001, 0.01
 _DECIBELS = 20 / np.log(10)
 
 COUPLING_DEG = 60
-COUPLING = 0.27
+COUPLING = 0.18
 """The gain corner comes out too high by this times (WL/slowest rate)^2 where the backscatter of the beams is
 `COUPLING_DEG` apart and cross over self saturation 0.5 (integrated equations; docs/several_rates.md)."""
 
@@ -341,7 +341,7 @@ def _coupling(fit: RatesFit) -> str:
     """What coupling without loss would do to the gain corner, where that is more than its uncertainty."""
     slowest = float(np.min(np.abs(fit.rate[fit.used])))
     share = COUPLING * (fit.lock_in_rate / slowest) ** 2
-    if share * fit.gain_time < fit.gain_time_u:
+    if fit.any_backscatter or share * fit.gain_time < fit.gain_time_u:
         return ""
     return (
         f" It holds for backscatter of the two beams in phase; {COUPLING_DEG} deg between them would make it "

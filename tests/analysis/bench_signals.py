@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.optimize import least_squares
 
 from analysis import beat_signal, estimate_lock_in
 from analysis.ring_laser import SteadyBeat, steady_beat, symmetric_laser
@@ -57,14 +58,24 @@ def seen(beat: SteadyBeat, times, *, readout_phase=0.0, start_phase=0.0, contras
 
 
 def ratios_of_slow_gain(multiples, corner, phase_sum=0.0, readout=0.4, **of_laser):
-    """Rates, exact complex ratios and beat frequencies of lines that the integrated equations give."""
+    """Rates, beat frequencies and complex ratios that records show, by the lines of the integrated equations."""
+    # a record is fitted by the nearest geometric series; for equal backscatter in phase alone these lines are one
     rates, ratios, beats = np.array(multiples) * WL, [], []
     laser = symmetric_laser(WL, scale_factor=K, gain_corner_hz=corner, phase_sum=phase_sum, **of_laser)
     for rate in rates:
         steady = steady_beat(laser, rate)
         middle = steady.beat.size // 2
         turned = steady.beat * np.exp(1j * readout)
-        first, second = ((turned[middle + n] - np.conj(turned[middle - n])) / 2j for n in (1, 2))
-        ratios.append(second * abs(first) / first**2)
+        lines = (turned[middle + 1 :] - np.conj(turned[middle - 1 : 0 : -1])[: middle - 1]) / 2j
+
+        def missed(parts, lines=lines):
+            series = complex(*parts) ** np.arange(lines.size)
+            along = np.vdot(series, lines) / np.vdot(series, series)
+            return np.concatenate([(left := lines - along * series).real, left.imag]) / abs(lines[0])
+
+        guess = lines[1] / lines[0]
+        q = complex(*least_squares(missed, [guess.real, guess.imag], xtol=1e-15, ftol=1e-15, gtol=1e-15).x)
+        series = q ** np.arange(lines.size)
+        ratios.append(q * np.exp(-1j * np.angle(np.vdot(series, lines))))
         beats.append(steady.frequency)
     return rates, np.array(ratios), np.array(beats)

@@ -682,9 +682,9 @@ def rates_flags(fit: RatesFit, records: RatioRecords, tested: int, *, explained:
 
 
 _GAIN_TIME, _GAIN_SEEN = 3, 3.3  # standard uncertainties of a gain time that is no chance
-_OF_THE_BOUND = np.concatenate([np.linspace(0.0, 1.0, 15), [1.2, 1.5, 2.0, 2.5]])
+_OF_THE_BOUND = np.concatenate([np.linspace(0.0, 1.0, 15), [1.03, 1.06, 1.1, 1.2, 1.5, 2.0, 2.5]])
 _ABOUT_A_MINIMUM = np.linspace(-4.0, 4.0, 17)
-_SAME_SHARE, _SAME_U, _ENDS = 1e-3, 0.5, 4.0
+_SAME_SHARE, _SAME_U, _ENDS = 1e-3, 0.5, 12.0
 _INTERVAL, _TAILS, _STEPS = (0.025, 0.975), 6.0, 4001
 
 

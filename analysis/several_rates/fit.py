@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 from analysis.arrays import NORMAL_95, Complexes, Floats, NoFit
 from analysis.budget import BenchKnowledge
 from analysis.lockin_rate import LockInEstimate
-from analysis.several_rates.laser_fit import LaserFit, lasers_of_beat
+from analysis.several_rates.laser_fit import LaserFit, lasers_of_beat, of_bells
 from analysis.several_rates.points import (
     FASTER_THAN_POSSIBLE,
     MISMATCH,
@@ -307,7 +307,7 @@ def _fit(
             every = replace(gathered, points=replace(gathered.points, **own))
             with suppress(NoFit):
                 lasers = lasers_of_beat(every, found.parameters[0], drifting, bench)
-                if scipy.special.chdtrc(lasers[0].model.data.degrees, lasers[0].chi_square) > UNLIKELY:
+                if scipy.special.chdtrc(max(lasers[0].degrees, 1), lasers[0].chi_square) > UNLIKELY:
                     points = replace(points, uneven=noisy.uneven)
                     break
     result = _result(points, fits, found, known, chosen, receiver, most, lasers)
@@ -413,7 +413,7 @@ def _result(
     fit, prior = fits[chosen], _prior(chosen, known)
     degrees, height = _degrees(fit, points, prior), float(fit.chi_square[0])
     if lasers:
-        degrees, height = lasers[0].model.data.degrees, lasers[0].chi_square
+        degrees, height = lasers[0].degrees, lasers[0].chi_square
     chi_square, p_value, widen, freedom = _test(height, degrees, fit, points)
     covariance = polar_covariance(fit) * widen
     said = answer_of_lasers(lasers, widen, points.points.reference) if lasers else answer(found, widen, freedom)
@@ -685,7 +685,6 @@ _GAIN_TIME, _GAIN_SEEN = 3, 3.3  # standard uncertainties of a gain time that is
 _OF_THE_BOUND = np.concatenate([np.linspace(0.0, 1.0, 15), [1.03, 1.06, 1.1, 1.2, 1.5, 2.0, 2.5]])
 _ABOUT_A_MINIMUM = np.linspace(-4.0, 4.0, 17)
 _SAME_SHARE, _SAME_U, _ENDS = 1e-3, 0.5, 12.0
-_INTERVAL, _TAILS, _STEPS = (0.025, 0.975), 6.0, 4001
 
 
 def over_gain_times(
@@ -733,11 +732,10 @@ def over_gain_times(
     # the mean of what belongs to this solution; the others count in u and in the interval
     nearest = np.abs(np.subtract.outer([said.value, *(one.lock_in_rate for one in said.others)], values))
     value = float(np.average(values, weights=weights * (nearest.argmin(axis=0) == 0) + 1e-300))
-    u = math.sqrt(float(np.sum(weights * (us**2 + (values - value) ** 2))))
-    sizes = np.linspace(np.min(values - _TAILS * us), np.max(values + _TAILS * us), _STEPS)
-    below = scipy.special.ndtr((sizes[:, np.newaxis] - values) / us) @ weights  # of the sum of bells
-    low, high = (float(end) for end in np.interp(_INTERVAL, below, sizes))
-    return RatesAnswer(value, u, min(said.low, max(low, 0.0)), max(said.high, high), said.others)
+    mean, u, low, high = of_bells(values, us, weights)
+    return RatesAnswer(
+        value, math.hypot(u, mean - value), min(said.low, max(low, 0.0)), max(said.high, high), said.others
+    )
 
 
 # --------------------

@@ -11,6 +11,7 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy.special
 
 from analysis.arrays import Bools, Complexes, Floats, Indices, NoFit
 from analysis.budget import SCALE_FACTOR_LIMIT, TABLE_RATE_LIMIT, BenchKnowledge
@@ -65,8 +66,9 @@ class LaserData:
     sd: Floats
     ac_corner_hz: float  # of the coupling that was taken out of the beams
     harmonics: bool = True  # whether ratio and third harmonic count
-    # of ln(a2/a1) and of the sum of the phases, where no beam tells them
+    # of ln(a2/a1) and of the sum of the phases, where no beam tells them: standard deviations and mean
     usual: tuple[float, float] = (math.inf, math.inf)
+    about: tuple[float, float] = (0.0, 0.0)
 
     @property
     def degrees(self) -> int:
@@ -147,8 +149,8 @@ class LaserModel:
         before = (data.mean - parameters)[:, fixed] / data.sd[fixed]
         if math.isfinite(data.usual[0]):
             turned = np.angle(np.exp(1j * (parameters[:, 3] - parameters[:, 1])))
-            unusual = np.stack([parameters[:, 2] - parameters[:, 0], turned], axis=-1) / data.usual
-            before = np.concatenate([before, unusual], axis=-1)
+            unusual = np.stack([parameters[:, 2] - parameters[:, 0], turned], axis=-1) - data.about
+            before = np.concatenate([before, unusual / data.usual], axis=-1)
         counts = float(data.harmonics)
         with np.errstate(invalid="ignore"):
             of_ratio, of_third = counts * of_ratio, counts * of_third
@@ -332,6 +334,27 @@ class LaserFit:
         freed = math.sqrt(max(size**2 - max(across_u**2 - by_turns, 0.0), 0.0))
         return (freed, u, float(low) * u, float(high) * u), (float(np.angle(whole)), across_u / size)
 
+    def with_backscatter(self, angle: float, logarithm: float) -> Floats:
+        """Its parameters with another angle between the backscatters and another ratio of them."""
+        first, second = (complex(_backscatter(self.parameters[part])) for part in (FIRST, SECOND))
+        return np.concatenate([_backscatters(first + second, angle, logarithm), self.parameters[4:]])
+
+    @property
+    def degrees(self) -> int:
+        """Values less unknowns; one that was known as well beforehand as it is now costs none."""
+        data = self.model.data
+        known = np.isfinite(data.sd) & (data.sd > 0)
+        kept = np.append(
+            np.diagonal(self.covariance)[known] / data.sd[known] ** 2, (self.unequal_u / data.usual) ** 2
+        )
+        return data.degrees - round(float(np.sum(1 - np.minimum(kept, 1.0))))
+
+    @property
+    def unequal_u(self) -> Floats:
+        """Standard uncertainties of ln(a2/a1) and of the angle between the backscatters."""
+        difference = np.hstack([-np.eye(2), np.eye(2)])
+        return np.asarray(np.sqrt(np.diagonal(difference @ self.covariance[:4, :4] @ difference.T)))
+
     @property
     def gain_time(self) -> tuple[float, float]:
         """1/g_c and its standard uncertainty, s."""
@@ -440,10 +463,24 @@ def laplace(found: list[LaserFit], widen: float, *, per_rate: bool = False) -> l
     # the share of the probability under each goes with its height and its volume, as in the fit of equation (1)
     each = [one.coupling(widen, per_rate=per_rate)[0] for one in found]
     likely = np.exp([-0.5 * (one.chi_square - found[0].chi_square) / widen + one.log_volume for one in found])
-    likely /= likely.sum()
-    value = each[0][0]
-    u = math.sqrt(sum(w * (one[1] ** 2 + (one[0] - value) ** 2) for w, one in zip(likely, each, strict=True)))
-    return [(value, u, min(one[2] for one in each), max(one[3] for one in each)), *each]
+    values, us, low, high = np.array(each).T
+    if any(found[0].model.data.about):  # parts of one valley, not valleys
+        return [of_bells(values, us, likely)]
+    u = math.sqrt(float(np.average(us**2 + (values - values[0]) ** 2, weights=likely)))
+    return [(float(values[0]), u, float(low.min()), float(high.max())), *each]
+
+
+def of_bells(values: Floats, us: Floats, weights: Floats) -> tuple[float, float, float, float]:
+    """Mean, standard deviation and 95 % interval of a sum of bells, (n,) each."""
+    weights = weights / weights.sum()
+    mean = float(values @ weights)
+    u = math.sqrt(float(weights @ (us**2 + (values - mean) ** 2)))
+    sizes = np.linspace(np.min(values - _TAILS * us), np.max(values + _TAILS * us), _STEPS)
+    low, high = np.interp(_INTERVAL, scipy.special.ndtr((sizes[:, np.newaxis] - values) / us) @ weights, sizes)
+    return mean, u, float(low), float(high)
+
+
+_INTERVAL, _TAILS, _STEPS = (0.025, 0.975), 6.0, 4001
 
 
 # --------------------
@@ -465,6 +502,9 @@ _LOGARITHMS, _ANGLES = (0.15, 0.7), (-0.9, -0.3, 0.3, 0.9)  # from which a searc
 _FIRST_LOOK, _LOOKED_AT = 8, 3  # evaluations of a first look; how many of them are followed
 _STATED, _ROUNDS = 4.0, 3  # degrees of freedom of uncertainties that were stated
 _SHORTEST = 1e-12  # s, of a gain time
+_BROAD = 0.3  # u of ln(a2/a1) or of the angle over that beforehand, from which one bell would not do
+_PART = 0.6  # of what is usual, that of a part
+_PLACES = np.array([[m, n] for m in (0.35, 1.05, 1.75) for n in (-1.75, -1.05, -0.35, 0.35, 1.05, 1.75)])
 _ANY_SCALE = 0.1  # of what all rates have in common: nothing is taken for known
 
 
@@ -508,17 +548,37 @@ def lasers_of_beat(points: Points, start: Floats, known: Prior, bench: BenchKnow
             replace(best.model.data, rate_weight=best.model.data.rate_weight / math.sqrt(scale)), best
         )
         found = solutions(model, [(one.parameters, one.chi_square) for one in found])
-    return found
+    best = found[0]
+    unequal = (
+        best.covariance[2:4, 2:4] + best.covariance[:2, :2] - best.covariance[:2, 2:4] - best.covariance[2:4, :2]
+    )
+    if not np.any(np.sqrt(np.diagonal(unequal)) > _BROAD * np.array(usual)):
+        return found
+    # What is known beforehand is a sum of narrower bells, each of which has a minimum of its own
+    found, width = [], np.array(usual) * _PART
+    for place in _PLACES:
+        about = place * usual
+        part = replace(best.model.data, usual=tuple(width), about=tuple(about))
+        end = search(model := LaserModel(part, best), best.with_backscatter(about[1], about[0]), _FIRST_LOOK)
+        if end is not None:
+            one = LaserFit.at(model, end[0])
+            found.append(replace(one, chi_square=one.chi_square + float(place @ place) / (1 - _PART**2)))
+    return sorted(found, key=lambda one: one.chi_square)
 
 
 def _as_laser(start: Floats, angle: float, logarithm: float, data: LaserData) -> Floats:
     """Parameters of a laser with the coupling and all else of equation (1) (10,)."""
     made = np.where(np.isfinite(data.sd), data.mean, 0.0)
-    first, second = np.exp(-0.5j * angle), np.exp(logarithm + 0.5j * angle)
-    scale = 2 * np.pi * data.points.records.records.scale_factor * complex(*start[:2]) / (first + second)
-    made[FIRST] = math.log(abs(scale)), np.angle(scale * first)
-    made[SECOND] = math.log(abs(scale * second)), made[1] + angle
+    coupling = 2 * np.pi * data.points.records.records.scale_factor * complex(*start[:2])
+    made[:4] = _backscatters(coupling, angle, logarithm)
     made[GAIN] = -math.log(max(float(start[3]), _SHORTEST))
     made[[DISTORTION, THIRD_ORDER, BETWEEN, TURN, BEND, DRIFT]] = start[[2, 5, 6, 7, 8, 9]]
     made[LAG] = math.sqrt(max(float(start[4]), 0.0))
     return np.where(data.sd > 0, made, data.mean)
+
+
+def _backscatters(coupling: complex, angle: float, logarithm: float) -> Floats:
+    """Logarithms of two backscatters, (4,), that make a coupling (rad/s)."""
+    one, other = np.exp(-0.5j * angle), np.exp(logarithm + 0.5j * angle)
+    first = np.log(coupling * one / (one + other))
+    return np.array([first.real, first.imag, first.real + logarithm, first.imag + angle])

@@ -188,7 +188,7 @@ def answer_of_lasers(found: list[LaserFit], widen: float, reference: Reference) 
         Alternative(
             own[0], own[1], own[2], own[3], float(laser.parameters[DISTORTION]), (laser.chi_square - best) / widen
         )
-        for laser, own in zip(found, each, strict=True)
+        for laser, own in zip(found, each, strict=False)  # parts of one valley are no others
         if abs(own[0] - of_all[0]) > ANOTHER * own[1]
     )
     return RatesAnswer(of_all[0], of_all[1], of_all[2], of_all[3], others)

@@ -344,10 +344,9 @@ class LaserFit:
         """Values less unknowns; one that was known as well beforehand as it is now costs none."""
         data = self.model.data
         known = np.isfinite(data.sd) & (data.sd > 0)
-        kept = np.append(
-            np.diagonal(self.covariance)[known] / data.sd[known] ** 2, (self.unequal_u / data.usual) ** 2
-        )
-        return data.degrees - round(float(np.sum(1 - np.minimum(kept, 1.0))))
+        kept = np.diagonal(self.covariance)[known] / data.sd[known] ** 2
+        kept = np.minimum(np.append(kept, (self.unequal_u / data.usual) ** 2), 1.0)
+        return data.degrees - round(float(np.sum(1 - kept)))
 
     @property
     def unequal_u(self) -> Floats:
@@ -549,10 +548,7 @@ def lasers_of_beat(points: Points, start: Floats, known: Prior, bench: BenchKnow
         )
         found = solutions(model, [(one.parameters, one.chi_square) for one in found])
     best = found[0]
-    unequal = (
-        best.covariance[2:4, 2:4] + best.covariance[:2, :2] - best.covariance[:2, 2:4] - best.covariance[2:4, :2]
-    )
-    if not np.any(np.sqrt(np.diagonal(unequal)) > _BROAD * np.array(usual)):
+    if not np.any(best.unequal_u > _BROAD * np.array(usual)):
         return found
     # What is known beforehand is a sum of narrower bells, each of which has a minimum of its own
     found, width = [], np.array(usual) * _PART

@@ -22,7 +22,7 @@ from analysis.budget import (
 from analysis.lockin_equation import beat_frequency, harmonic_ratio
 from analysis.lockin_rate import MAINS_ORDERS
 from analysis.several_rates import COUNTED, RatioData, predicted_ratio
-from analysis.several_rates.fit import gain_time_is_open, over_gain_times
+from analysis.several_rates.fit import gain_time_is_open, left_over, over_gain_times
 from analysis.several_rates.laser_fit import FIRST, GAIN, SATURATION, SECOND, LaserData, LaserFit, LaserModel
 from analysis.several_rates.points import UsedRecords, gather, place_in_run, records_of_arrays
 from analysis.several_rates.ratio_model import N_PARAMETERS, all_solutions, fit_ratios, prior_of, whitening_factor
@@ -516,15 +516,16 @@ def expected_joint_u(
     if all_else_known:
         prior = replace(prior, sd=np.where(np.isinf(prior.sd), np.inf, 0.0))
     fit = fit_ratios(data, prior, truth)
-    few = len(set(np.sign(rate))) == 1 and np.unique(rate).size < FEW_RATES
-    if not all_else_known and (few or gain_time_is_open(fit, data, prior, np.unique(rate).size)):
+    settings = np.unique(rate).size
+    few = len(set(np.sign(rate))) == 1 and settings < FEW_RATES
+    if not all_else_known and (few or gain_time_is_open(fit, data, prior, settings)):
         us = []
         for row in range(0, phases.size, 4):
             one = replace(data, ratio=rho[row], whitening=data.whitening[row : row + 1])
             found = all_solutions(one, prior) if few else fit.take(slice(row, row + 1))
             said = answer(found, 1.0, 0)
-            if gain_time_is_open(found, one, prior, np.unique(rate).size):
-                said = over_gain_times(said, found, one, prior, 1.0)
+            if gain_time_is_open(found, one, prior, settings):
+                said = over_gain_times(said, found, one, prior, 1.0, tested=left_over(one, prior, settings) > 0)
             us.append(said.u)
         return float(np.sqrt(np.mean(np.square(us))))
     radial = np.stack([np.cos(phases), -np.sin(phases)], axis=-1)

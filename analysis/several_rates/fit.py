@@ -419,8 +419,9 @@ def _result(
     said = answer_of_lasers(lasers, widen, points.points.reference) if lasers else answer(found, widen, freedom)
     if not lasers and np.unique(np.sign(points.points.rate)).size == 1:
         said = by_profile(said, found, points.points, prior, widen, freedom, most)
+    tested = left_over(points.points, prior, points.settings) > 0
     if not lasers and chosen == "all" and gain_time_is_open(fit, points.points, prior, points.settings):
-        said = over_gain_times(said, found, points.points, prior, widen)
+        said = over_gain_times(said, found, points.points, prior, widen, tested=tested)
     mismatch = rate_mismatch(records, said.value, float(fit.parameters[0, DRIFT]))
     common, differ = _rates_differ(points.records, said, mismatch, bool(np.ptp(points.rate_group)))
     failed = p_value < UNLIKELY
@@ -428,7 +429,7 @@ def _result(
     off = lasers[0].rates_off if lasers else np.full(1, np.inf)
     explained = not failed and bool(np.all(np.abs(off) < MISMATCH) and abs(np.median(off)) < FASTER_THAN_POSSIBLE)
     differ &= not explained
-    if differ and (failed or _left_over(points.points, prior, points.settings) <= 0) and not records.rate_of_beat:
+    if differ and (failed or not tested) and not records.rate_of_beat:
         said = widened(said, _by_other_reference(points.points, said.value, common) / math.sqrt(3))
     said = widened(said, _OF_ALL * points.uneven / math.sqrt(3))
     us, fitted = np.sqrt(np.diagonal(covariance)), np.where([True, True, *FREE[chosen]], 1.0, np.nan)
@@ -492,7 +493,7 @@ def _result(
         flags=0,
         noise_model=records.noise_model + (UNEVEN if points.uneven else "") + (ENLARGED if widen > 1 else ""),
     )
-    flags = rates_flags(result, records, _left_over(points.points, prior, points.settings), explained=explained)
+    flags = rates_flags(result, records, tested=tested, explained=explained)
     return replace(result, flags=flags | (RatesFlag.RATE_AND_BEAT_DISAGREE if differ else 0))
 
 
@@ -519,17 +520,17 @@ def _degrees(fit: RatioFit, points: Points, prior: Prior) -> int:
     known = np.isfinite(prior.sd) & (prior.sd > 0)
     kept = np.diagonal(fit.covariance[0])[known] / prior.sd[known] ** 2
     # what changes over a run is tested by its visits alone, if at all
-    left = _left_over(points.points, prior, points.rate_group.size) - int(np.sum(prior.sd[SENSES:] > 0))
+    left = left_over(points.points, prior, points.rate_group.size) - int(np.sum(prior.sd[SENSES:] > 0))
     return left + round(float(np.minimum(kept, 1.0).sum()))
 
 
 def gain_time_is_open(fit: RatioFit, data: RatioData, prior: Prior, settings: int) -> bool:
     """Whether so many settings leave the gain time, or the test of it, to what is known beforehand."""
     hardly_seen = fit.covariance[0, _GAIN_TIME, _GAIN_TIME] > (_HARDLY * prior.sd[_GAIN_TIME]) ** 2
-    return bool(prior.sd[_GAIN_TIME] > 0 and (hardly_seen or _left_over(data, prior, settings) <= 0))
+    return bool(prior.sd[_GAIN_TIME] > 0 and (hardly_seen or left_over(data, prior, settings) <= 0))
 
 
-def _left_over(data: RatioData, prior: Prior, settings: int) -> int:
+def left_over(data: RatioData, prior: Prior, settings: int) -> int:
     """Two values of every setting and their third harmonics, less the unknowns that do not change over a run."""
     has_thirds = prior.sd[5] > 0 and np.any(data.third_weight > 0)
     return int((3 if has_thirds else 2) * settings - np.sum(prior.sd[:SENSES] > 0))
@@ -641,8 +642,8 @@ def scale_factor_of_rates(scale_factor: float, points: Points, fit: RatioFit) ->
     return mean, spread
 
 
-def rates_flags(fit: RatesFit, records: RatioRecords, tested: int, *, explained: bool) -> int:
-    """Bits of `RatesFlag` of a result that has none yet; `tested`: values that the records leave over."""
+def rates_flags(fit: RatesFit, records: RatioRecords, *, tested: bool, explained: bool) -> int:
+    """Bits of `RatesFlag` of a result that has none yet; `explained`: a laser says why beats are as they are."""
     size, u = fit.lock_in_rate, fit.lock_in_rate_u
     plain = next((m.lock_in_rate_u for m in fit.models if m.model == "lock-in"), u)
     distorted = next((m.lock_in_rate_u for m in fit.models if m.model == "distortion"), u)
@@ -657,7 +658,7 @@ def rates_flags(fit: RatesFit, records: RatioRecords, tested: int, *, explained:
         RatesFlag.NOT_SIGNIFICANT: not size > SIGNIFICANT * u,
         RatesFlag.RATES_TOO_CLOSE: fit.model not in FREE_OF_DISTORTION and distorted > DISTORTION_COST * plain,
         RatesFlag.NOT_DETERMINED: u > LOOSE * size,
-        RatesFlag.NOT_TESTED: tested <= 0,
+        RatesFlag.NOT_TESTED: not tested,
         RatesFlag.MISFIT: fit.p_value < UNLIKELY_LEFT_OUT,
         RatesFlag.ONE_RATE_DISAGREES: bool(np.any(fit.left_out.p_value < UNLIKELY_LEFT_OUT)),
         RatesFlag.ONE_SENSE: bool(np.any(rate > 0, where=fit.used) != np.any(rate < 0, where=fit.used)),
@@ -688,7 +689,7 @@ _SAME_SHARE, _SAME_U, _ENDS = 1e-3, 0.5, 12.0
 
 
 def over_gain_times(
-    said: RatesAnswer, found: RatioFit, data: RatioData, prior: Prior, widen: float
+    said: RatesAnswer, found: RatioFit, data: RatioData, prior: Prior, widen: float, *, tested: bool
 ) -> RatesAnswer:
     """What any gain time within its bound may make of the answer; the interval holds that of none as well."""
     mean, sd = prior.mean[_GAIN_TIME], prior.sd[_GAIN_TIME]
@@ -729,13 +730,17 @@ def over_gain_times(
     ) * np.exp(-heights)
     weights /= weights.sum()
     values, us = np.hypot(fits.parameters[:, 0], fits.parameters[:, 1]), size_us(fits) * math.sqrt(widen)
+    _, _, low, high = of_bells(values, us, weights)
+    low, high = min(said.low, max(low, 0.0)), max(said.high, high)
+    if tested:
+        # the records fit a laser without gain time to speak of, as `said` takes it: it and any other count half
+        square = float(np.average(us**2 + (values - said.value) ** 2, weights=weights))
+        return replace(said, u=math.sqrt((said.u**2 + square) / 2), low=low, high=high)
     # the mean of what belongs to this solution; the others count in u and in the interval
     nearest = np.abs(np.subtract.outer([said.value, *(one.lock_in_rate for one in said.others)], values))
     value = float(np.average(values, weights=weights * (nearest.argmin(axis=0) == 0) + 1e-300))
-    mean, u, low, high = of_bells(values, us, weights)
-    return RatesAnswer(
-        value, math.hypot(u, mean - value), min(said.low, max(low, 0.0)), max(said.high, high), said.others
-    )
+    u = math.sqrt(float(np.average(us**2 + (values - value) ** 2, weights=weights)))
+    return replace(said, value=value, u=u, low=low, high=high)
 
 
 # --------------------

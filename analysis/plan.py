@@ -26,7 +26,7 @@ from analysis.several_rates.fit import gain_time_is_open, left_over, over_gain_t
 from analysis.several_rates.laser_fit import FIRST, GAIN, SATURATION, SECOND, LaserData, LaserFit, LaserModel
 from analysis.several_rates.points import UsedRecords, gather, place_in_run, records_of_arrays
 from analysis.several_rates.ratio_model import N_PARAMETERS, all_solutions, fit_ratios, prior_of, whitening_factor
-from analysis.several_rates.solutions import answer
+from analysis.several_rates.result import answer
 from analysis.single_beams import BeamsKnowledge, beams_data
 
 # --------------------

@@ -54,9 +54,14 @@ from analysis.several_rates.ratio_model import (
     third_order_by_third_harmonic,
     with_distortion_alone,
 )
-from analysis.several_rates.result import FittedRecords, Model, ModelFit, RatesFit, RatesFlag, WithoutOneRate
-from analysis.several_rates.solutions import (
+from analysis.several_rates.result import (
+    FittedRecords,
+    Model,
+    ModelFit,
     RatesAnswer,
+    RatesFit,
+    RatesFlag,
+    WithoutOneRate,
     answer,
     answer_of_lasers,
     by_profile,

@@ -22,7 +22,7 @@ from analysis.budget import (
 from analysis.lockin_equation import beat_frequency, harmonic_ratio
 from analysis.lockin_rate import MAINS_ORDERS
 from analysis.several_rates import COUNTED, RatioData, predicted_ratio
-from analysis.several_rates.fit import gain_time_is_open, left_over, over_gain_times
+from analysis.several_rates.fit import gain_time_is_open, over_gain_times
 from analysis.several_rates.laser_fit import FIRST, GAIN, SATURATION, SECOND, LaserData, LaserFit, LaserModel
 from analysis.several_rates.points import UsedRecords, gather, place_in_run, records_of_arrays
 from analysis.several_rates.ratio_model import N_PARAMETERS, all_solutions, fit_ratios, prior_of, whitening_factor
@@ -525,7 +525,7 @@ def expected_joint_u(
             found = all_solutions(one, prior) if few else fit.take(slice(row, row + 1))
             said = answer(found, 1.0, 0)
             if gain_time_is_open(found, one, prior, settings):
-                said = over_gain_times(said, found, one, prior, 1.0, tested=left_over(one, prior, settings) > 0)
+                said = over_gain_times(said, found, one, prior, 1.0)
             us.append(said.u)
         return float(np.sqrt(np.mean(np.square(us))))
     radial = np.stack([np.cos(phases), -np.sin(phases)], axis=-1)

@@ -23,6 +23,7 @@ from analysis.several_rates.laser_fit import LaserFit, lasers_of_beat, of_bells
 from analysis.several_rates.points import (
     FASTER_THAN_POSSIBLE,
     MISMATCH,
+    SAME_RATE,
     Points,
     RatioRecords,
     UsedRecords,
@@ -55,6 +56,7 @@ from analysis.several_rates.ratio_model import (
     with_distortion_alone,
 )
 from analysis.several_rates.result import (
+    POSSIBLE,
     FittedRecords,
     Model,
     ModelFit,
@@ -306,12 +308,13 @@ def _fit(
     gain_time_u = np.sqrt(found.covariance[0, _GAIN_TIME, _GAIN_TIME])
     if chosen == "all" and found.parameters[0, _GAIN_TIME] > _GAIN_SEEN * gain_time_u:
         bench = BenchKnowledge() if receiver is None or contradicted else receiver
+        starts = found.parameters[found.chi_square < found.chi_square[0] + POSSIBLE][:_STARTS]
         for noisy in (gathered, points):
             # what equation (1) took for uneven codes or wrong rates may be another kind of backscatter
             own = {name: getattr(noisy.points, name) for name in ("whitening", "third_weight")}
             every = replace(gathered, points=replace(gathered.points, **own))
             with suppress(NoFit):
-                lasers = lasers_of_beat(every, found.parameters[0], drifting, bench)
+                lasers = lasers_of_beat(every, starts, drifting, bench)
                 if scipy.special.chdtrc(max(lasers[0].degrees, 1), lasers[0].chi_square) > UNLIKELY:
                     points = replace(points, uneven=noisy.uneven)
                     break
@@ -426,7 +429,7 @@ def _result(
         said = by_profile(said, found, points.points, prior, widen, freedom, most)
     tested = left_over(points.points, prior, points.settings) > 0
     if not lasers and chosen == "all" and gain_time_is_open(fit, points.points, prior, points.settings):
-        said = over_gain_times(said, found, points.points, prior, widen, tested=tested)
+        said = over_gain_times(said, found, points.points, prior, widen)
     mismatch = rate_mismatch(records, said.value, float(fit.parameters[0, DRIFT]))
     common, differ = _rates_differ(points.records, said, mismatch, bool(np.ptp(points.rate_group)))
     failed = p_value < UNLIKELY
@@ -688,13 +691,14 @@ def rates_flags(fit: RatesFit, records: RatioRecords, *, tested: bool, explained
 
 
 _GAIN_TIME, _GAIN_SEEN = 3, 3.3  # standard uncertainties of a gain time that is no chance
+_STARTS = 3  # minima from which lasers are looked for
 _OF_THE_BOUND = np.concatenate([np.linspace(0.0, 1.0, 15), [1.03, 1.06, 1.1, 1.2, 1.5, 2.0, 2.5]])
 _ABOUT_A_MINIMUM = np.linspace(-4.0, 4.0, 17)
 _SAME_SHARE, _SAME_U, _ENDS = 1e-3, 0.5, 12.0
 
 
 def over_gain_times(
-    said: RatesAnswer, found: RatioFit, data: RatioData, prior: Prior, widen: float, *, tested: bool
+    said: RatesAnswer, found: RatioFit, data: RatioData, prior: Prior, widen: float
 ) -> RatesAnswer:
     """What any gain time within its bound may make of the answer; the interval holds that of none as well."""
     mean, sd = prior.mean[_GAIN_TIME], prior.sd[_GAIN_TIME]
@@ -737,11 +741,12 @@ def over_gain_times(
     values, us = np.hypot(fits.parameters[:, 0], fits.parameters[:, 1]), size_us(fits) * math.sqrt(widen)
     _, _, low, high = of_bells(values, us, weights)
     low, high = min(said.low, max(low, 0.0)), max(said.high, high)
-    if tested:
-        # the records fit a laser without gain time to speak of, as `said` takes it: it and any other count half
+    rates = np.abs(data.rate)
+    if np.ptp(rates) > SAME_RATE * rates.max():
+        # there may be no gain time to speak of, as `said` takes it, or any within the bound: both count half
         square = float(np.average(us**2 + (values - said.value) ** 2, weights=weights))
         return replace(said, u=math.sqrt((said.u**2 + square) / 2), low=low, high=high)
-    # the mean of what belongs to this solution; the others count in u and in the interval
+    # one rate says nothing of it: the mean of this solution; others count in u and in the interval
     nearest = np.abs(np.subtract.outer([said.value, *(one.lock_in_rate for one in said.others)], values))
     value = float(np.average(values, weights=weights * (nearest.argmin(axis=0) == 0) + 1e-300))
     u = math.sqrt(float(np.average(us**2 + (values - value) ** 2, weights=weights)))

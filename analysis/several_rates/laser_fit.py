@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 import scipy.special
@@ -507,8 +508,8 @@ _PLACES = np.array([[m, n] for m in (0.35, 1.05, 1.75) for n in (-1.75, -1.05, -
 _ANY_SCALE = 0.1  # of what all rates have in common: nothing is taken for known
 
 
-def lasers_of_beat(points: Points, start: Floats, known: Prior, bench: BenchKnowledge) -> list[LaserFit]:
-    """Lasers that harmonics and rates allow, the likeliest first; begun from parameters of equation (1)."""
+def lasers_of_beat(points: Points, starts: Floats, known: Prior, bench: BenchKnowledge) -> list[LaserFit]:
+    """Lasers that harmonics and rates allow, the likeliest first; begun from sets of equation (1) (B, 10)."""
     records, some, p = points.records, points.points, points.points.rate.size
     mean, sd = beforehand(some, bench)
     sd[LEVEL.start : DELAY.stop], sd[[CORNER, PEDESTAL]], sd[BETWEEN : DRIFT + 1] = 0.0, 0.0, known.sd[SENSES:]
@@ -529,12 +530,11 @@ def lasers_of_beat(points: Points, start: Floats, known: Prior, bench: BenchKnow
     swing = nothing.astype(np.complex128)
     data = LaserData(points, swing, nothing, nothing, weight, beat_u, mean, sd, 0.0, usual=usual)
     model, looked = LaserModel(data), list[tuple[Floats, float]]()
-    for angle in _ANGLES:
-        for logarithm in _LOGARITHMS:
-            end = search(model, _as_laser(start, angle, logarithm, data), _FIRST_LOOK)
-            looked += [end] if end else []
+    for start, angle, logarithm in product(starts, _ANGLES, _LOGARITHMS):
+        end = search(model, _as_laser(start, angle, logarithm, data), _FIRST_LOOK)
+        looked += [end] if end else []
     looked.sort(key=lambda one: one[1])
-    found = solutions(model, looked[:_LOOKED_AT])
+    found = solutions(model, looked[: _LOOKED_AT * len(starts)])
     for _ in range(_ROUNDS):
         # what each rate is known to was stated, and is good for as much as some more rates would tell of it
         best = found[0]

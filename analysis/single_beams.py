@@ -55,6 +55,7 @@ from analysis.several_rates.laser_fit import (
     LaserModel,
     beforehand,
     laplace,
+    rates_and_beats_u,
     search,
     solutions,
 )
@@ -279,11 +280,9 @@ def beams_data(points: Points, swings: BeamModulation, known: BeamsKnowledge, be
     if not weight.any():
         raise NoFit("no record with a single beam that could be used")
     some, rate_weight = points.points, np.zeros(len(weight))
+    by_azimuth, beat_u = rates_and_beats_u(points)
     if not records.records.rate_of_beat:
         own = TABLE_RATE_LIMIT / _RECTANGLE if math.isnan(known.rate_u) else known.rate_u
-        by_azimuth = np.zeros(len(weight))
-        for rows, data, _ in records.data():
-            np.maximum.at(by_azimuth, points.places[data], records.rate_u[rows])
         rate_weight = 1 / np.hypot(by_azimuth, own * np.abs(some.rate))
     mean, sd = _beforehand(some, over, known, bench)
     if swings.flags & BeamsFlag.NO_LEVEL:
@@ -291,10 +290,6 @@ def beams_data(points: Points, swings: BeamModulation, known: BeamsKnowledge, be
     for part in (LEVEL, CROSSTALK, OTHER_BEAM, DELAY):
         sd[part] *= weight.any(axis=0)
     sd[[SCALE, BIAS]] *= rate_weight.any()
-    beats = np.zeros((2, len(weight)))
-    for _, block in records.blocks():
-        beats += points.places.sums(block, np.ones(block.rate.shape), block.beat_frequency_u**2)
-    beat_u = np.sqrt(beats[1]) / beats[0]
     return LaserData(points, swing, weight, over, rate_weight, beat_u, mean, sd, known.ac_corner_hz)
 
 

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 from analysis.arrays import NORMAL_95, Complexes, Floats, NoFit
 from analysis.budget import BenchKnowledge
 from analysis.lockin_rate import LockInEstimate
-from analysis.several_rates.laser_fit import LaserFit, lasers_of_beat, of_bells
+from analysis.several_rates.laser_fit import POSSIBLE, LaserFit, lasers_of_beat, of_bells
 from analysis.several_rates.points import (
     FASTER_THAN_POSSIBLE,
     MISMATCH,
@@ -56,7 +56,6 @@ from analysis.several_rates.ratio_model import (
     with_distortion_alone,
 )
 from analysis.several_rates.result import (
-    POSSIBLE,
     FittedRecords,
     Model,
     ModelFit,
@@ -66,7 +65,6 @@ from analysis.several_rates.result import (
     WithoutOneRate,
     answer,
     answer_of_lasers,
-    by_profile,
     largest_possible,
     lock_in_u,
     minimum_volumes,
@@ -425,8 +423,6 @@ def _result(
     chi_square, p_value, widen, freedom = _test(height, degrees, fit, points)
     covariance = polar_covariance(fit) * widen
     said = answer_of_lasers(lasers, widen, points.points.reference) if lasers else answer(found, widen, freedom)
-    if not lasers and np.unique(np.sign(points.points.rate)).size == 1:
-        said = by_profile(said, found, points.points, prior, widen, freedom, most)
     tested = left_over(points.points, prior, points.settings) > 0
     if not lasers and chosen == "all" and gain_time_is_open(fit, points.points, prior, points.settings):
         said = over_gain_times(said, found, points.points, prior, widen)

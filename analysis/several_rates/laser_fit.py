@@ -483,6 +483,15 @@ def of_bells(values: Floats, us: Floats, weights: Floats) -> tuple[float, float,
 _INTERVAL, _TAILS, _STEPS = (0.025, 0.975), 6.0, 4001
 
 
+def rates_and_beats_u(points: Points) -> tuple[Floats, Floats]:
+    """Standard uncertainties of the rate (deg/s) and of the mean beat (Hz) of each point, (P,) each."""
+    rate_u, beats = np.zeros(len(points.places)), np.zeros((2, len(points.places)))
+    for rows, block in points.records.blocks():
+        np.maximum.at(rate_u, points.places[block], points.records.rate_u[rows])
+        beats += points.places.sums(block, np.ones(block.rate.shape), block.beat_frequency_u**2)
+    return rate_u, np.sqrt(beats[1]) / beats[0]
+
+
 # --------------------
 # The beat alone: its harmonics say what a laser adds to each ratio, and its rates how much it pushes each beat.
 #
@@ -503,30 +512,24 @@ _FIRST_LOOK, _LOOKED_AT = 8, 3  # evaluations of a first look; how many of them 
 _STATED, _ROUNDS = 4.0, 3  # degrees of freedom of uncertainties that were stated
 _SHORTEST = 1e-12  # s, of a gain time
 _BROAD = 0.3  # u of ln(a2/a1) or of the angle over that beforehand, from which one bell would not do
-_PART = 0.6  # of what is usual, that of a part
+_PART, _APART = 0.6, 4.0  # of what is usual, that of a part; u between valleys that are not parts of one
 _PLACES = np.array([[m, n] for m in (0.35, 1.05, 1.75) for n in (-1.75, -1.05, -0.35, 0.35, 1.05, 1.75)])
-_ANY_SCALE = 0.1  # of what all rates have in common: nothing is taken for known
 
 
 def lasers_of_beat(points: Points, starts: Floats, known: Prior, bench: BenchKnowledge) -> list[LaserFit]:
     """Lasers that harmonics and rates allow, the likeliest first; begun from sets of equation (1) (B, 10)."""
-    records, some, p = points.records, points.points, points.points.rate.size
+    records, some = points.records, points.points
     mean, sd = beforehand(some, bench)
     sd[LEVEL.start : DELAY.stop], sd[[CORNER, PEDESTAL]], sd[BETWEEN : DRIFT + 1] = 0.0, 0.0, known.sd[SENSES:]
-    half = np.ptp(BACKSCATTER, axis=0) / 2
-    sd[SATURATION] = half[2] / _RECTANGLE
-    rate_u, beats = np.zeros(p), np.zeros((2, p))
-    for rows, block in records.blocks():
-        np.maximum.at(rate_u, points.places[block], records.rate_u[rows])
-        beats += points.places.sums(block, np.ones(block.rate.shape), block.beat_frequency_u**2)
-    beat_u = np.sqrt(beats[1]) / beats[0]
+    half = np.ptp(BACKSCATTER, axis=0) / 2 / _RECTANGLE
+    sd[SATURATION] = half[2]
+    rate_u, beat_u = rates_and_beats_u(points)
     rates = np.abs(some.rate)
     by_beat = some.beat_rate / rates * beat_u / records.records.scale_factor
     weight = 1 / np.sqrt(rate_u**2 + (LEAST_U * rates) ** 2 + by_beat**2)
     weight *= not records.records.rate_of_beat
-    sd[SCALE], sd[BIAS] = _ANY_SCALE * weight.any(), sd[BIAS] * weight.any()
-    nothing = np.zeros((p, 2))
-    usual = half[1] / _RECTANGLE, half[0] / _RECTANGLE
+    sd[SCALE], sd[BIAS] = 0.1 * weight.any(), sd[BIAS] * weight.any()  # anything that all rates have in common
+    usual, nothing = (half[1], half[0]), np.zeros((rates.size, 2))
     swing = nothing.astype(np.complex128)
     data = LaserData(points, swing, nothing, nothing, weight, beat_u, mean, sd, 0.0, usual=usual)
     model, looked = LaserModel(data), list[tuple[Floats, float]]()
@@ -543,12 +546,12 @@ def lasers_of_beat(points: Points, starts: Floats, known: Prior, bench: BenchKno
         scale = (_STATED + left) / (_STATED + np.count_nonzero(weight))
         if scale < 1:
             break
-        model = LaserModel(
-            replace(best.model.data, rate_weight=best.model.data.rate_weight / math.sqrt(scale)), best
-        )
+        weight = weight / math.sqrt(scale)
+        model = LaserModel(replace(data, rate_weight=weight), best)
         found = solutions(model, [(one.parameters, one.chi_square) for one in found])
-    best = found[0]
-    if not np.any(best.unequal_u > _BROAD * np.array(usual)):
+    best, sizes = found[0], np.array([one.coupling(1.0)[0] for one in found])
+    apart = bool(np.any(np.abs(sizes[:, 0] - sizes[0, 0]) > _APART * sizes[:, 1].max()))
+    if apart or not np.any(best.unequal_u > _BROAD * np.array(usual)):
         return found
     # What is known beforehand is a sum of narrower bells, each of which has a minimum of its own
     found, width = [], np.array(usual) * _PART
@@ -559,7 +562,7 @@ def lasers_of_beat(points: Points, starts: Floats, known: Prior, bench: BenchKno
         if end is not None:
             one = LaserFit.at(model, end[0])
             found.append(replace(one, chi_square=one.chi_square + float(place @ place) / (1 - _PART**2)))
-    return sorted(found, key=lambda one: one.chi_square)
+    return sorted(found, key=lambda one: one.chi_square) or [best]
 
 
 def _as_laser(start: Floats, angle: float, logarithm: float, data: LaserData) -> Floats:

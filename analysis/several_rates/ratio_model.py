@@ -295,8 +295,6 @@ _BESIDE = np.array([0.92, 0.97, 1.03, 1.08])
 
 _FIRST_ITERATIONS, _FINISHED = 15, 5  # all starts go a little way, the best of them to the end
 
-_PROFILE_ITERATIONS = 25
-
 _NO_WAY_DOWN = 1e5  # damping with which a step that still does not go down ends the search
 
 _CLOSE = 1e-3
@@ -320,29 +318,16 @@ def fit_ratios(data: RatioData, prior: Prior, start: Floats) -> RatioFit:
     return _minimised(data, prior, np.array(start, dtype=np.float64), ITERATIONS)
 
 
-def profile(data: RatioData, prior: Prior, start: Floats, sizes: Floats) -> Floats:
-    """Least chi-square for every lock-in rate of `sizes` (S,), deg/s, the other parameters free."""
-    points = np.tile(start, (sizes.size, 1))
-    points[:, :2] *= (sizes / np.hypot(*start[:2]))[:, np.newaxis]
-    both = np.concatenate([points, with_distortion_alone(points, data, prior)])
-    lowest = _minimised(data, prior, both, _PROFILE_ITERATIONS, np.tile(sizes, 2)).chi_square
-    return np.asarray(lowest.reshape(2, -1).min(axis=0))
-
-
-def _minimised(
-    data: RatioData, prior: Prior, point: Floats, iterations: int, held: Floats | None = None
-) -> RatioFit:
-    """Damped Gauss-Newton; `held` (B,): lock-in rates that stay, deg/s."""
-    found = _linearised(point, data, prior, held)
+def _minimised(data: RatioData, prior: Prior, point: Floats, iterations: int) -> RatioFit:
+    """Damped Gauss-Newton."""
+    found = _linearised(point, data, prior)
     live, damping = np.arange(len(point)), np.full(len(point), 1e-4)
     for _ in range(iterations):
         here, some = found.take(live), data.take(live)
         ridge = damping[live, np.newaxis, np.newaxis] * np.eye(here.ways.shape[1])
         step = here.unit * np.linalg.solve(here.normal + ridge, here.gradient[..., np.newaxis])[..., 0]
         moved = here.point + np.einsum("bw,bwp->bp", step, here.ways)
-        sizes = None if held is None else held[live]
-        moved = _bounded(moved, some) if sizes is None else _of_size(moved, sizes)
-        trial = _linearised(moved, some, prior, sizes)
+        trial = _linearised(_bounded(moved, some), some, prior)
         better = trial.cost <= here.cost
         settled = np.abs(here.cost - trial.cost) <= SETTLED * (1 + here.cost)
         settled |= ~better & (damping[live] >= _NO_WAY_DOWN)
@@ -428,33 +413,18 @@ def _bounded(point: Floats, data: RatioData) -> Floats:
     by_beat = data.reference == "beat"
     rate = data.beat_rate / np.sqrt(1 - _LARGEST_STEP**2) if by_beat else np.abs(data.rate)
     slowest = np.where(there, rate, np.inf).min(axis=-1)
-    size = np.hypot(point[:, 0], point[:, 1])
-    return _of_size(point, np.minimum(size, _LARGEST_STEP * slowest))
-
-
-def _of_size(point: Floats, size: Floats) -> Floats:
-    """The same with lock-in rates (B,) of a given size, deg/s."""
+    size = np.maximum(np.hypot(point[:, 0], point[:, 1]), 1e-300)
     bounded = point.copy()
-    bounded[:, :2] *= (size / np.maximum(np.hypot(point[:, 0], point[:, 1]), 1e-300))[:, np.newaxis]
+    bounded[:, :2] *= (np.minimum(size, _LARGEST_STEP * slowest) / size)[:, np.newaxis]
     return bounded
 
 
-def _ways(point: Floats, data: RatioData, chosen: Indices, held: Floats | None) -> Floats:
-    """Directions in which every set may go, (ways, B, N_PARAMETERS), each of the length of its scale."""
+def _linearised(point: Floats, data: RatioData, prior: Prior) -> _Linearised:
+    """Normal matrix scaled to a unit diagonal, gradient in the same units, and the units (B, ways)."""
     # change of each parameter that changes rho of the slowest point by about one
     slowest, fastest = float(np.min(data.beat_rate)), float(np.max(data.angular))
     scale = np.array([slowest, slowest, 1.0, 1 / fastest, 1 / fastest**2, 1.0, 1.0, 1.0, 1.0, 1.0])
-    ways = np.repeat(np.diag(scale)[chosen, np.newaxis], len(point), axis=1)
-    if held is None:
-        return ways
-    across = np.stack([-point[:, 1], point[:, 0]], axis=-1) / held[:, np.newaxis]
-    ways[0, :, :2] = scale[0] * across
-    return np.delete(ways, 1, axis=0)
-
-
-def _linearised(point: Floats, data: RatioData, prior: Prior, held: Floats | None) -> _Linearised:
-    """Normal matrix scaled to a unit diagonal, gradient in the same units, and the units (B, ways)."""
-    ways = _ways(point, data, np.flatnonzero(prior.sd > 0), held)
+    ways = np.repeat(np.diag(scale)[np.flatnonzero(prior.sd > 0), np.newaxis], len(point), axis=1)
     shift = 1e-5 * ways
     both = residual(np.concatenate([point - shift, point + shift, point[np.newaxis]]), data, prior)
     jacobian = np.moveaxis(both[: len(ways)] - both[len(ways) : -1], 0, -1) / 2e-5

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import IntFlag
 from typing import Literal
@@ -13,18 +12,16 @@ import scipy.special
 
 from analysis.arrays import NORMAL_95, Bools, Complexes, Floats
 from analysis.lockin_rate import size_interval
-from analysis.several_rates.laser_fit import DISTORTION, LaserFit, laplace
+from analysis.several_rates.laser_fit import DISTORTION, POSSIBLE, LaserFit, laplace
 from analysis.several_rates.points import SAME_RATE, UsedRecords, first_of_groups, rate_mismatch
 from analysis.several_rates.ratio_model import (
     DRIFT,
     N_PARAMETERS,
     PHASES,
-    Prior,
     RatioData,
     RatioFit,
     Reference,
     predicted_ratio,
-    profile,
     whitened,
 )
 
@@ -313,11 +310,6 @@ def _corner(gain_time: float) -> float:
 # From the minima of a fit to one value, its uncertainty and an interval that holds all of them
 
 
-POSSIBLE = 9.0
-"""A minimum whose chi-square is above the best by no more than this is a possible answer: three standard
-deviations of one unknown."""
-
-
 @dataclass(frozen=True)
 class RatesAnswer:
     """Lock-in rate of all possible minima: value of the best, uncertainty and interval of all, deg/s."""
@@ -368,57 +360,6 @@ ANOTHER = 0.5  # standard uncertainties by which another solution differs at lea
 
 _SAME_RATE, _OTHER_RATE = 0.1, 1.5
 """Shares by which a rate may be off and still be that of its beat, and a factor by which none is off."""
-
-
-def by_profile(
-    said: RatesAnswer, found: RatioFit, data: RatioData, prior: Prior, widen: float, degrees: int, most: float
-) -> RatesAnswer:
-    """The interval from chi-square itself, and an uncertainty to match, where straight lines would not do."""
-    # In one sense distortion and gain corner together bend the valley in which the answer lies. The interval holds
-    # every lock-in rate for which chi-square is above the best by no more than 95 % allow, the rest being free,
-    # and which is not above `most`.
-    if not said.value > _WELL_KNOWN * said.u:
-        return said
-    student = float(scipy.special.stdtrit(degrees, 0.975)) if degrees else NORMAL_95
-    minima = range(1 + len(said.others))
-    units = [lock_in_u(found.take(slice(row, row + 1))) * math.sqrt(widen) for row in minima]
-    around = [float(np.hypot(*found.parameters[row, :2])) + units[row] * _REACH for row in minima]
-    tried = np.append(np.concatenate(around), most)
-    starts = found.parameters[list(minima)]
-
-    def height(sizes: Floats) -> Floats:
-        lowest = np.min([profile(data, prior, start, sizes) for start in starts], axis=0)
-        return np.asarray(lowest - found.chi_square[0])
-
-    tried = tried[(tried > 0) & (tried <= most) & np.isfinite(tried)]
-    low, high = _ends(height, np.sort(tried), widen * student**2)
-    low, high = min(low, said.value), max(high, said.value)
-    # one side may be much longer than the other: the root of their mean square, as of a deviation to either side
-    u = math.hypot(high - said.value, said.value - low) / math.sqrt(2) / student
-    return RatesAnswer(said.value, u, low, high, said.others)
-
-
-_WELL_KNOWN = 6.0
-_OUTWARDS = np.array([1.2, 1.7, 2.2, 2.8, 3.5, 4.5, 6.0, 8.0, 11.0, 15.0, 20.0, 28.0, 40.0])
-_REACH = np.concatenate([-_OUTWARDS[::-1], [0.0], _OUTWARDS])
-"""Standard uncertainties about a minimum, as its curvature has them, at which the valley is sounded: a bent one is
-much longer than that says."""
-
-
-def _ends(height: Callable[[Floats], Floats], sizes: Floats, allowed: float) -> tuple[float, float]:
-    """First and last of rising sizes where a height crosses what is allowed; the valley may have steep walls."""
-    for _ in range(1 + _REFINEMENTS):
-        inside = np.flatnonzero(height(sizes) <= allowed)
-        if inside.size == 0:
-            return math.inf, -math.inf
-        first, last = int(inside[0]), int(inside[-1])
-        before, after = sizes[max(first - 1, 0)], sizes[min(last + 1, sizes.size - 1)]
-        low, high = float(sizes[first]), float(sizes[last])
-        sizes = np.concatenate([np.linspace(before, low, _FINER), np.linspace(high, after, _FINER)])
-    return (low + float(before)) / 2, (high + float(after)) / 2
-
-
-_REFINEMENTS, _FINER = 1, 6
 
 
 def widened(said: RatesAnswer, share_u: float) -> RatesAnswer:

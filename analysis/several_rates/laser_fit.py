@@ -368,6 +368,15 @@ class LaserFit:
         rate = self.model.predicted(self.parameters[np.newaxis])[3][0] / (2 * np.pi)
         return np.asarray(rate / (points.records.records.scale_factor * points.points.rate) - 1)
 
+    def left_of_rates(self) -> tuple[Floats, float]:
+        """What the laser leaves of each rate of the table, deg/s, (P,), and how many of them it follows."""
+        steps = _steps(self.model.data)
+        several = np.concatenate([self.parameters + steps, self.parameters[np.newaxis]])
+        *moved, left = self.model.of_rate(several, self.model.predicted(several)[3])
+        slopes = (np.array(moved) - left) / np.diagonal(steps)[:, np.newaxis]
+        told = float(np.einsum("ip,ij,jp->", slopes, self.covariance, slopes))
+        return left / self.model.data.rate_weight, told
+
     def push(self) -> Floats:
         """Share by which each beat is faster than the lock-in equation says, (P,)."""
         sagnac = self.model.predicted(self.parameters[np.newaxis])[3][0]
@@ -509,7 +518,8 @@ BACKSCATTER = np.array([[-math.radians(60.0), -math.log(2.5), 0.35], [math.radia
 
 _LOGARITHMS, _ANGLES = (0.15, 0.7), (-0.9, -0.3, 0.3, 0.9)  # from which a search begins; exchanged beams are alike
 _FIRST_LOOK, _LOOKED_AT = 8, 3  # evaluations of a first look; how many of them are followed
-_STATED, _ROUNDS = 4.0, 3  # degrees of freedom of uncertainties that were stated
+_UNKNOWN, _ROUNDS, _STEADIER = 1e-3, 8, 0.8  # share by which rates may be off; looks at what they are off
+_STATED = 4.0  # degrees of freedom of uncertainties that were stated
 _SHORTEST = 1e-12  # s, of a gain time
 _BROAD = 0.3  # u of ln(a2/a1) or of the angle over that beforehand, from which one bell would not do
 _PART, _APART = 0.6, 4.0  # of what is usual, that of a part; u between valleys that are not parts of one
@@ -524,10 +534,9 @@ def lasers_of_beat(points: Points, starts: Floats, known: Prior, bench: BenchKno
     half = np.ptp(BACKSCATTER, axis=0) / 2 / _RECTANGLE
     sd[SATURATION] = half[2]
     rate_u, beat_u = rates_and_beats_u(points)
-    rates = np.abs(some.rate)
-    by_beat = some.beat_rate / rates * beat_u / records.records.scale_factor
-    weight = 1 / np.sqrt(rate_u**2 + (LEAST_U * rates) ** 2 + by_beat**2)
-    weight *= not records.records.rate_of_beat
+    rates, stated = np.abs(some.rate), not records.records.rate_of_beat
+    known_u = np.hypot(rate_u, some.beat_rate / rates * beat_u / records.records.scale_factor) / rates
+    weight = stated / (rates * np.hypot(known_u, _UNKNOWN))
     sd[SCALE], sd[BIAS] = 0.1 * weight.any(), sd[BIAS] * weight.any()  # anything that all rates have in common
     usual, nothing = (half[1], half[0]), np.zeros((rates.size, 2))
     swing = nothing.astype(np.complex128)
@@ -538,16 +547,18 @@ def lasers_of_beat(points: Points, starts: Floats, known: Prior, bench: BenchKno
         looked += [end] if end else []
     looked.sort(key=lambda one: one[1])
     found = solutions(model, looked[: _LOOKED_AT * len(starts)])
-    for _ in range(_ROUNDS):
-        # what each rate is known to was stated, and is good for as much as some more rates would tell of it
+    own = _UNKNOWN
+    for _ in range(_ROUNDS * stated):
+        # how well rates fit, with as much as some more would tell if they were as steady as can be
         best = found[0]
-        sagnac = best.model.predicted(best.parameters[np.newaxis])[3]
-        left = float(np.sum(best.model.of_rate(best.parameters[np.newaxis], sagnac) ** 2))
-        scale = (_STATED + left) / (_STATED + np.count_nonzero(weight))
-        if scale < 1:
+        left, told = best.left_of_rates()
+        freedom = max(rates.size - told, 0.0)
+        excess = float(np.sum((left / rates) ** 2)) - freedom * float(np.mean(known_u**2))
+        square = (_STATED * LEAST_U**2 + max(excess, 0.0)) / (_STATED + freedom)
+        if not square < own**2 * _STEADIER:
             break
-        weight = weight / math.sqrt(scale)
-        model = LaserModel(replace(data, rate_weight=weight), best)
+        own = math.sqrt(square)
+        model = LaserModel(replace(data, rate_weight=1 / (rates * np.hypot(known_u, max(own, LEAST_U)))), best)
         found = solutions(model, [(one.parameters, one.chi_square) for one in found])
     best, sizes = found[0], np.array([one.coupling(1.0)[0] for one in found])
     apart = bool(np.any(np.abs(sizes[:, 0] - sizes[0, 0]) > _APART * sizes[:, 1].max()))

@@ -431,11 +431,6 @@ class Budget:
         """Lines that are bounds of what nobody stated or measured."""
         return tuple(line for line in self.inputs if not line.stated)
 
-    def with_line(self, line: BudgetInput, share: float) -> Budget:
-        """The budget with one of its lines known so much better: `share` of its uncertainty is left."""
-        better = replace(line, u=share * line.u)
-        return replace(self, inputs=tuple(better if one is line else one for one in self.inputs))
-
 
 # --------------------
 # Bounds for what nobody has stated or measured: what is not known is not zero.

@@ -9,10 +9,7 @@ difference of the beams relax. Far above lock-in AC over DC of beams 1 and 2, ag
 while the beat's second harmonic over its fundamental is -C/(2 w) g/(g + i w), and WL = |C|/(2 pi K). So the beams
 show the phase of C, which distortion of the receiver hides, D, which no harmonic shows, and g.
 
-The fit is not of first order: every setting is the periodic solution of the equations of a two-mode laser
-(`analysis.two_mode_laser`) at the beat that was seen, and its signals go through three receivers. One
-least-squares fit has the harmonics of the beat, the beams and the rates of the table as its data, and whatever may
-spoil them as its unknowns, each with a bound.
+The fit (`analysis.several_rates.laser_fit`) is not of first order.
 """
 
 from __future__ import annotations

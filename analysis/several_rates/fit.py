@@ -681,9 +681,8 @@ def rates_flags(fit: RatesFit, records: RatioRecords, *, tested: bool, explained
 # --------------------
 # The answer over every gain time that is possible, where few rates leave it to its bound.
 #
-# Two rates in one sense are four values for six unknowns. The minimum then lies where the priors, bells about
-# zero, put it, and a bench whose gain time is anywhere within its bound may lie far along the bent valley. So this
-# is followed: at every gain time the rest is fitted, and what these fits give is averaged over the bound
+# A bench may lie far along the bent valley from where priors, bells about zero, put the minimum: at every gain
+# time the rest is fitted, and what these fits give is averaged over the bound
 
 
 _GAIN_TIME, _GAIN_SEEN = 3, 3.3  # standard uncertainties of a gain time that is no chance
@@ -725,7 +724,6 @@ def over_gain_times(
     kept = np.flatnonzero(different.ravel())
     fits, at = fits.take(kept), kept % times.size
     heights = 0.5 * (fits.chi_square - fits.chi_square.min()) / widen
-    mean, sd = prior.mean[_GAIN_TIME], prior.sd[_GAIN_TIME]
     # a bound ends much sooner than a bell
     beyond = times - mean if mean > 0 else _ENDS * np.maximum(times - math.sqrt(3) * sd, 0.0)
     middles = (times[1:] + times[:-1]) / 2

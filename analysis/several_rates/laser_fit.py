@@ -368,14 +368,10 @@ class LaserFit:
         rate = self.model.predicted(self.parameters[np.newaxis])[3][0] / (2 * np.pi)
         return np.asarray(rate / (points.records.records.scale_factor * points.points.rate) - 1)
 
-    def left_of_rates(self) -> tuple[Floats, float]:
-        """What the laser leaves of each rate of the table, deg/s, (P,), and how many of them it follows."""
-        steps = _steps(self.model.data)
-        several = np.concatenate([self.parameters + steps, self.parameters[np.newaxis]])
-        *moved, left = self.model.of_rate(several, self.model.predicted(several)[3])
-        slopes = (np.array(moved) - left) / np.diagonal(steps)[:, np.newaxis]
-        told = float(np.einsum("ip,ij,jp->", slopes, self.covariance, slopes))
-        return left / self.model.data.rate_weight, told
+    def left_of_rates(self) -> Floats:
+        """What the laser leaves of each rate of the table, in standard uncertainties, (P,)."""
+        only = self.parameters[np.newaxis]
+        return np.asarray(self.model.of_rate(only, self.model.predicted(only)[3])[0])
 
     def push(self) -> Floats:
         """Share by which each beat is faster than the lock-in equation says, (P,)."""
@@ -504,23 +500,18 @@ def rates_and_beats_u(points: Points) -> tuple[Floats, Floats]:
 # --------------------
 # The beat alone: its harmonics say what a laser adds to each ratio, and its rates how much it pushes each beat.
 #
-# Equation (1) of `ratio_model` knows one kind of backscatter, as strong from both beams, their phases adding up to
-# zero. Far from it ratios show another lock-in rate, by shares of c = (B_s/g_d)^2: B_s the part of the backscatter
-# that takes no energy, g_d the rate at which the difference of the beams relaxes. And it pushes the beat up,
-# equation (4) of docs/several_rates.md, in each sense by its own share.
+# Equation (1) of `ratio_model` knows one kind of backscatter. Another adds shares of (B_s/g_d)^2 to WL, and pushes
+# the beat of each sense by its own share (docs/several_rates.md).
 
 
-LEAST_U = 1e-6
-"""Of a rate: no table turns more steadily from one to the next, whatever its display says."""
-
+LEAST_U = 1e-6  # of a rate: no table turns more steadily from one to the next, whatever its display says
 BACKSCATTER = np.array([[-math.radians(60.0), -math.log(2.5), 0.35], [math.radians(60.0), math.log(2.5), 0.65]])
 """Between which a laser usually is: sum of the phases, rad; logarithm of a2/a1; cross over self saturation."""
 
 _LOGARITHMS, _ANGLES = (0.15, 0.7), (-0.9, -0.3, 0.3, 0.9)  # from which a search begins; exchanged beams are alike
 _FIRST_LOOK, _LOOKED_AT = 8, 3  # evaluations of a first look; how many of them are followed
-_UNKNOWN, _ROUNDS, _STEADIER = 1e-3, 8, 0.8  # share by which rates may be off; looks at what they are off
-_STATED = 4.0  # degrees of freedom of uncertainties that were stated
-_SHORTEST = 1e-12  # s, of a gain time
+_STATED, _ROUNDS = 4.0, 3  # degrees of freedom of uncertainties that were stated
+_OFF, _UNKNOWN = 10.0, 1e-3  # rates that fit worse may be off by that share
 _BROAD = 0.3  # u of ln(a2/a1) or of the angle over that beforehand, from which one bell would not do
 _PART, _APART = 0.6, 4.0  # of what is usual, that of a part; u between valleys that are not parts of one
 _PLACES = np.array([[m, n] for m in (0.35, 1.05, 1.75) for n in (-1.75, -1.05, -0.35, 0.35, 1.05, 1.75)])
@@ -536,29 +527,25 @@ def lasers_of_beat(points: Points, starts: Floats, known: Prior, bench: BenchKno
     rate_u, beat_u = rates_and_beats_u(points)
     rates, stated = np.abs(some.rate), not records.records.rate_of_beat
     known_u = np.hypot(rate_u, some.beat_rate / rates * beat_u / records.records.scale_factor) / rates
-    weight = stated / (rates * np.hypot(known_u, _UNKNOWN))
+    weight = stated / (rates * np.hypot(known_u, LEAST_U))
     sd[SCALE], sd[BIAS] = 0.1 * weight.any(), sd[BIAS] * weight.any()  # anything that all rates have in common
     usual, nothing = (half[1], half[0]), np.zeros((rates.size, 2))
     swing = nothing.astype(np.complex128)
     data = LaserData(points, swing, nothing, nothing, weight, beat_u, mean, sd, 0.0, usual=usual)
-    model, looked = LaserModel(data), list[tuple[Floats, float]]()
-    for start, angle, logarithm in product(starts, _ANGLES, _LOGARITHMS):
-        end = search(model, _as_laser(start, angle, logarithm, data), _FIRST_LOOK)
-        looked += [end] if end else []
-    looked.sort(key=lambda one: one[1])
-    found = solutions(model, looked[: _LOOKED_AT * len(starts)])
-    own = _UNKNOWN
-    for _ in range(_ROUNDS * stated):
-        # how well rates fit, with as much as some more would tell if they were as steady as can be
-        best = found[0]
-        left, told = best.left_of_rates()
-        freedom = max(rates.size - told, 0.0)
-        excess = float(np.sum((left / rates) ** 2)) - freedom * float(np.mean(known_u**2))
-        square = (_STATED * LEAST_U**2 + max(excess, 0.0)) / (_STATED + freedom)
-        if not square < own**2 * _STEADIER:
+    found = _looked(data, starts)
+    for number in range(_ROUNDS):
+        # what each rate is known to was stated, and is good for as much as some more rates would tell of it
+        left = found[0].left_of_rates()
+        scale = (_STATED + float(left @ left)) / (_STATED + np.count_nonzero(weight))
+        if scale < 1:
             break
-        own = math.sqrt(square)
-        model = LaserModel(replace(data, rate_weight=1 / (rates * np.hypot(known_u, max(own, LEAST_U)))), best)
+        if number == 0 and scale > _OFF:
+            # some laser goes far to follow rates that are wrong; where they say little it does not
+            weight = 1 / (rates * np.hypot(known_u, _UNKNOWN))
+            found = _looked(replace(data, rate_weight=weight), starts)
+            continue
+        weight = weight / math.sqrt(scale)
+        model = LaserModel(replace(data, rate_weight=weight), found[0])
         found = solutions(model, [(one.parameters, one.chi_square) for one in found])
     best, sizes = found[0], np.array([one.coupling(1.0)[0] for one in found])
     apart = bool(np.any(np.abs(sizes[:, 0] - sizes[0, 0]) > _APART * sizes[:, 1].max()))
@@ -576,12 +563,22 @@ def lasers_of_beat(points: Points, starts: Floats, known: Prior, bench: BenchKno
     return sorted(found, key=lambda one: one.chi_square) or [best]
 
 
+def _looked(data: LaserData, starts: Floats) -> list[LaserFit]:
+    """Lasers that some data allow, begun from several lasers at each of the sets of equation (1)."""
+    model, looked = LaserModel(data), list[tuple[Floats, float]]()
+    for start, angle, logarithm in product(starts, _ANGLES, _LOGARITHMS):
+        end = search(model, _as_laser(start, angle, logarithm, data), _FIRST_LOOK)
+        looked += [end] if end else []
+    looked.sort(key=lambda one: one[1])
+    return solutions(model, looked[: _LOOKED_AT * len(starts)])
+
+
 def _as_laser(start: Floats, angle: float, logarithm: float, data: LaserData) -> Floats:
     """Parameters of a laser with the coupling and all else of equation (1) (10,)."""
     made = np.where(np.isfinite(data.sd), data.mean, 0.0)
     coupling = 2 * np.pi * data.points.records.records.scale_factor * complex(*start[:2])
     made[:4] = _backscatters(coupling, angle, logarithm)
-    made[GAIN] = -math.log(max(float(start[3]), _SHORTEST))
+    made[GAIN] = -math.log(max(float(start[3]), 1e-12))
     made[[DISTORTION, THIRD_ORDER, BETWEEN, TURN, BEND, DRIFT]] = start[[2, 5, 6, 7, 8, 9]]
     made[LAG] = math.sqrt(max(float(start[4]), 0.0))
     return np.where(data.sd > 0, made, data.mean)

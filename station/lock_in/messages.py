@@ -1,6 +1,7 @@
 """What the records say, in sentences: rates, table, flags, and what would help."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
@@ -593,7 +594,8 @@ def remedy_sentence(budget: Budget) -> str:
     if first is None or first.contribution == 0:
         return ""
     # more records show nothing of what these rates do not show
-    after = budget.with_line(first, 0.5 if first.stated and first.name in _HALVED else 0.0).expanded_u_95
+    better = replace(first, u=(0.5 if first.stated and first.name in _HALVED else 0.0) * first.u)
+    after = replace(budget, inputs=tuple(better if one is first else one for one in budget.inputs)).expanded_u_95
     now = budget.expanded_u_95
     return (
         f"The largest part is {first.quantity} ({100 * budget.share(first):.0f} % of the variance"

@@ -10,6 +10,7 @@ import math
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from itertools import product
 from typing import Literal
 
 import numpy as np
@@ -305,16 +306,16 @@ def _fit(
     lasers: list[LaserFit] = []
     gain_time_u = np.sqrt(found.covariance[0, _GAIN_TIME, _GAIN_TIME])
     if chosen == "all" and found.parameters[0, _GAIN_TIME] > _GAIN_SEEN * gain_time_u:
-        bench = BenchKnowledge() if receiver is None or contradicted else receiver
         starts = found.parameters[found.chi_square < found.chi_square[0] + POSSIBLE][:_STARTS]
-        for noisy in (gathered, points):
-            # what equation (1) took for uneven codes or wrong rates may be another kind of backscatter
+        # what equation (1) took for uneven codes, wrong rates or statements may be another kind of backscatter
+        benches = (receiver, None) if contradicted else (receiver,)
+        for bench, noisy in product(benches, (gathered, points)):
             own = {name: getattr(noisy.points, name) for name in ("whitening", "third_weight")}
             every = replace(gathered, points=replace(gathered.points, **own))
             with suppress(NoFit):
-                lasers = lasers_of_beat(every, starts, drifting, bench)
+                lasers = lasers_of_beat(every, starts, drifting, bench or BenchKnowledge())
                 if scipy.special.chdtrc(max(lasers[0].degrees, 1), lasers[0].chi_square) > UNLIKELY:
-                    points = replace(points, uneven=noisy.uneven)
+                    points, contradicted = replace(points, uneven=noisy.uneven), contradicted and bench is None
                     break
     result = _result(points, fits, found, known, chosen, receiver, most, lasers)
     return replace(result, flags=result.flags | (RatesFlag.STATED_LIMITS_EXCEEDED if contradicted else 0))
@@ -656,7 +657,7 @@ def rates_flags(fit: RatesFit, records: RatioRecords, *, tested: bool, explained
     rate_u = fit.each.records.rate_u
     disagree = rates_differ(rate, size, u, mismatch, rate_u) or mismatch_of_all(rate, size, u, mismatch) != 0
     disagree = (disagree and not explained) or bool(np.any(inconsistent_rate(records, rate_u)))
-    explained = abs(fit.third_order) > EXPLAINED * fit.third_order_u
+    by_third_order = abs(fit.third_order) > EXPLAINED * fit.third_order_u
     misfits = sum(int(np.sum(block.misfit & fit.used[some])) for some, block in records.blocks())
     conditions = {
         RatesFlag.NOT_SIGNIFICANT: not size > SIGNIFICANT * u,
@@ -673,7 +674,7 @@ def rates_flags(fit: RatesFit, records: RatioRecords, *, tested: bool, explained
         RatesFlag.RATE_AND_BEAT_DISAGREE: disagree,
         RatesFlag.RATE_BELOW_LOCK_IN: bool(np.any(np.abs(rate) <= size, where=fit.used)),
         RatesFlag.SEVERAL_SOLUTIONS: bool(fit.alternatives),
-        RatesFlag.RECORDS_MISFIT: misfits > max(2, MISFITS_BY_CHANCE * fit.used.sum()) and not explained,
+        RatesFlag.RECORDS_MISFIT: misfits > max(2, MISFITS_BY_CHANCE * fit.used.sum()) and not by_third_order,
     }
     return int(sum(bit for bit, raised in conditions.items() if raised))
 
@@ -702,8 +703,6 @@ def over_gain_times(
     closer = found.parameters[:, _GAIN_TIME, np.newaxis] + us[:, np.newaxis] * _ABOUT_A_MINIMUM
     times = np.unique(np.concatenate([beforehand, closer.ravel()]))
     times = times[times >= 0]
-    if times.size < 2:
-        return said
     held = np.arange(N_PARAMETERS) == _GAIN_TIME
     rest = Prior(np.where(held, 0.0, prior.mean), np.where(held, 0.0, prior.sd))
     starts = np.repeat(found.parameters, times.size, axis=0)
@@ -731,7 +730,6 @@ def over_gain_times(
     weights = (
         np.asarray(np.diff(edges) * np.exp(-0.5 * (beyond / sd) ** 2))[at] * minimum_volumes(fits)
     ) * np.exp(-heights)
-    weights /= weights.sum()
     values, us = np.hypot(fits.parameters[:, 0], fits.parameters[:, 1]), size_us(fits) * math.sqrt(widen)
     _, _, low, high = of_bells(values, us, weights)
     low, high = min(said.low, max(low, 0.0)), max(said.high, high)

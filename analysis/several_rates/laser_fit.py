@@ -8,6 +8,7 @@ data, and whatever may spoil it as its unknowns, each with a bound. `analysis.si
 from __future__ import annotations
 
 import math
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import product
 
@@ -26,7 +27,7 @@ from analysis.several_rates.ratio_model import (
     nearest_series,
     prior_of,
 )
-from analysis.two_mode_laser import lines_in_time, periodic_states, states_beside, steps_of_a_turn
+from analysis.two_mode_laser import FEWEST, lines_in_time, periodic_states, states_beside, steps_of_a_turn
 
 N_PARAMETERS = 25
 
@@ -139,6 +140,7 @@ class LaserModel:
             near.model.predicted(near.parameters[np.newaxis])  # leaves its states there
             self.states, self.sagnac = near.model.states, near.model.sagnac
 
+    @np.errstate(over="ignore", divide="ignore", invalid="ignore")  # where there is no laser it says so
     def residual(self, parameters: Floats) -> Floats:
         """Everything in its standard uncertainties for parameters (B, N_PARAMETERS): (B, values)."""
         data, some = self.data, self.data.points.points
@@ -153,9 +155,7 @@ class LaserModel:
             unusual = np.stack([parameters[:, 2] - parameters[:, 0], turned], axis=-1) - data.about
             before = np.concatenate([before, unusual / data.usual], axis=-1)
         counts = float(data.harmonics)
-        with np.errstate(invalid="ignore"):
-            of_ratio, of_third = counts * of_ratio, counts * of_third
-        parts = of_ratio, of_third, of_swing.real, of_swing.imag, of_rate
+        parts = counts * of_ratio, counts * of_third, of_swing.real, of_swing.imag, of_rate
         seen = [part.reshape(len(parameters), -1) / self.softer for part in parts]
         whole = np.concatenate([*seen, before], axis=-1)
         return np.where(found[:, np.newaxis] & np.isfinite(whole), whole, _FAILED)
@@ -177,7 +177,7 @@ class LaserModel:
             turning = column[..., TURN] + 6 * column[..., BEND] * (2 * data.points.points.when + beside)
             seen = self._seen(parameters, readout - turning * beside, light)
             parts.append([each.reshape(*shape, -1) * weight[:, np.newaxis] for each in seen])
-        ratio, third, swing = (one + other for one, other in zip(*parts, strict=True))
+        ratio, third, swing = (sum(part[1:], part[0]) for part in zip(*parts, strict=True))
         swing = swing / (1 + 1j * angular[:, np.newaxis] * column[..., DELAY])
         swing = swing + column[..., CROSSTALK] * data.over + column[..., OTHER_BEAM] * swing[..., ::-1]
         hertz, stated = angular[:, np.newaxis] / (2 * np.pi), data.ac_corner_hz
@@ -189,11 +189,10 @@ class LaserModel:
     def _seen(self, parameters: Floats, readout: Floats, light: _Light) -> tuple[Complexes, Floats, Complexes]:
         """Ratio and third harmonic (B P,), and swing of the beams (B P, 2) in front of their receivers."""
         lines = self._lines(parameters, readout.reshape(-1, 1), light)
-        with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-            w, value = nearest_series(lines, lines[:, 1] / lines[:, 0])
-            turn = np.abs(value) / value
-            left = lines[:, 2] - (1 - np.abs(w) ** 2) * value * np.conj(w) ** 2
-            third = (left * turn**3).real / np.abs(value)
+        w, value = nearest_series(lines, lines[:, 1] / lines[:, 0])
+        turn = np.abs(value) / value
+        left = lines[:, 2] - (1 - np.abs(w) ** 2) * value * np.conj(w) ** 2
+        third = (left * turn**3).real / np.abs(value)
         beams = np.einsum("bik,bk->bi", light.beams, light.kernel[:, 0])[light.of_set]
         return np.conj(w) * turn, third, beams * (np.abs(lines[:, 0]) / lines[:, 0])[:, np.newaxis]
 
@@ -368,10 +367,12 @@ class LaserFit:
         rate = self.model.predicted(self.parameters[np.newaxis])[3][0] / (2 * np.pi)
         return np.asarray(rate / (points.records.records.scale_factor * points.points.rate) - 1)
 
-    def left_of_rates(self) -> Floats:
-        """What the laser leaves of each rate of the table, in standard uncertainties, (P,)."""
+    @property
+    def rates_scale(self) -> float:
+        """How much larger the variance of the rates is than was stated, which counts as some more rates do."""
         only = self.parameters[np.newaxis]
-        return np.asarray(self.model.of_rate(only, self.model.predicted(only)[3])[0])
+        left = self.model.of_rate(only, self.model.predicted(only)[3])[0]
+        return (_STATED + float(left @ left)) / (_STATED + int(np.count_nonzero(self.model.data.rate_weight)))
 
     def push(self) -> Floats:
         """Share by which each beat is faster than the lock-in equation says, (P,)."""
@@ -531,22 +532,22 @@ def lasers_of_beat(points: Points, starts: Floats, known: Prior, bench: BenchKno
     sd[SCALE], sd[BIAS] = 0.1 * weight.any(), sd[BIAS] * weight.any()  # anything that all rates have in common
     usual, nothing = (half[1], half[0]), np.zeros((rates.size, 2))
     swing = nothing.astype(np.complex128)
-    data = LaserData(points, swing, nothing, nothing, weight, beat_u, mean, sd, 0.0, usual=usual)
-    found = _looked(data, starts)
-    for number in range(_ROUNDS):
-        # what each rate is known to was stated, and is good for as much as some more rates would tell of it
-        left = found[0].left_of_rates()
-        scale = (_STATED + float(left @ left)) / (_STATED + np.count_nonzero(weight))
+    data, found = LaserData(points, swing, nothing, nothing, weight, beat_u, mean, sd, 0.0, usual=usual), []
+    for own in (LEAST_U, _UNKNOWN):
+        # no laser follows rates that are wrong, or one that goes far for it: then they say little
+        data = replace(data, rate_weight=stated / (rates * np.hypot(known_u, own)))
+        with suppress(NoFit):
+            found = _looked(data, starts)
+            if found[0].rates_scale < _OFF:
+                break
+    if not found:
+        raise NoFit("no two-mode laser fits the records")
+    for _ in range(_ROUNDS):
+        scale = found[0].rates_scale
         if scale < 1:
             break
-        if number == 0 and scale > _OFF:
-            # some laser goes far to follow rates that are wrong; where they say little it does not
-            weight = 1 / (rates * np.hypot(known_u, _UNKNOWN))
-            found = _looked(replace(data, rate_weight=weight), starts)
-            continue
-        weight = weight / math.sqrt(scale)
-        model = LaserModel(replace(data, rate_weight=weight), found[0])
-        found = solutions(model, [(one.parameters, one.chi_square) for one in found])
+        data = replace(data, rate_weight=data.rate_weight / math.sqrt(scale))
+        found = solutions(LaserModel(data, found[0]), [(one.parameters, one.chi_square) for one in found])
     best, sizes = found[0], np.array([one.coupling(1.0)[0] for one in found])
     apart = bool(np.any(np.abs(sizes[:, 0] - sizes[0, 0]) > _APART * sizes[:, 1].max()))
     if apart or not np.any(best.unequal_u > _BROAD * np.array(usual)):
@@ -566,11 +567,12 @@ def lasers_of_beat(points: Points, starts: Floats, known: Prior, bench: BenchKno
 def _looked(data: LaserData, starts: Floats) -> list[LaserFit]:
     """Lasers that some data allow, begun from several lasers at each of the sets of equation (1)."""
     model, looked = LaserModel(data), list[tuple[Floats, float]]()
+    model.states = model.states[..., :FEWEST]  # enough to look
     for start, angle, logarithm in product(starts, _ANGLES, _LOGARITHMS):
         end = search(model, _as_laser(start, angle, logarithm, data), _FIRST_LOOK)
         looked += [end] if end else []
     looked.sort(key=lambda one: one[1])
-    return solutions(model, looked[: _LOOKED_AT * len(starts)])
+    return solutions(LaserModel(data), looked[: _LOOKED_AT * len(starts)])
 
 
 def _as_laser(start: Floats, angle: float, logarithm: float, data: LaserData) -> Floats:

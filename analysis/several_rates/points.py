@@ -484,7 +484,7 @@ class Points:
     points: RatioData  # RatioData One set of p means.
     rate_group: Indices  # (p,) Which of the different |W| each point has.
     # two places in the run beside that of each point, and their weights: like its records to the third moment
-    beside: Floats  # (2, p)
+    beside: Floats  # (2, p); (1, p), and that of each point, where all its records were taken at once
     beside_weights: Floats
     uneven: float = 0.0  # rms of what a converter's codes add to a third harmonic, over the beat
 
@@ -577,7 +577,7 @@ def gather(records: UsedRecords) -> Points:
     lasts = np.sqrt(np.maximum(square - when**2, 0.0))
     moment = np.where(lasts > _LASTS, cube - 3 * when * square + 2 * when**3, 0.0)
     skew = moment / np.maximum(lasts, _LASTS) ** 3 / 2
-    ends = skew + np.hypot(skew, 1.0) * np.array([[-1.0], [1.0]])
+    ends = skew + np.hypot(skew, 1.0) * np.array([[-1.0], [1.0]]) if np.any(lasts > _LASTS) else skew[np.newaxis]
     return Points(records, places, points, group, lasts * ends, 1 / (1 + ends**2))
 
 

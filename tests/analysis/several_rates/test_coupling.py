@@ -12,13 +12,25 @@ CORNER = 15 * K * WL
 RATES = both_senses(3, 5.3, 9.5, 17, 30)
 
 
-def fitted(phase_sum, *, rates=RATES, corner=CORNER, steady=1e-5, reference="beat", seed=1, scale_factor=K, **of):
-    """Records of a laser with its gain corner among the rates, noise on ratios and beats."""
+def fitted(
+    phase_sum,
+    *,
+    rates=RATES,
+    corner=CORNER,
+    steady=1e-5,
+    wrong=0.0,
+    reference="beat",
+    seed=1,
+    scale_factor=K,
+    **laser,
+):
+    """Records of a laser with its gain corner among the rates, noise on ratios and beats; rates may be wrong."""
     rng = np.random.default_rng(seed)
-    rate, ratio, beat = ratios_of_slow_gain(rates, corner, np.deg2rad(phase_sum), **of)
+    rate, ratio, beat = ratios_of_slow_gain(rates, corner, np.deg2rad(phase_sum), **laser)
     ratio = ratio + NOISE * (rng.normal(size=rate.size) + 1j * rng.normal(size=rate.size))
     beat = beat * (1 + steady * rng.normal(size=rate.size))
     covariance, beat_u = np.eye(2) * NOISE**2, steady * beat
+    rate = rate * (1 + wrong * rng.normal(size=rate.size))
     return fit_rate_ratios(
         rate, ratio, covariance, beat, scale_factor=scale_factor, beat_frequency_u=beat_u, reference=reference
     )
@@ -42,6 +54,7 @@ def test_coupling_that_ratios_and_beats_show_is_taken_out(phase_sum, reference):
     assert fit.lock_in_rate_low_95 < WL < fit.lock_in_rate_high_95
     assert abs(fit.lock_in_rate / WL - 1) < 0.1 * share + 0.0005
     assert fit.lock_in_rate_u / WL < 0.1 * share + 0.0009
+    assert not fit.flags & RatesFlag.STATED_LIMITS_EXCEEDED  # that the receiver makes no third harmonic
 
 
 @pytest.mark.parametrize("reference", ["beat", "rate"])
@@ -55,6 +68,16 @@ def test_lasers_beyond_what_is_usual_are_found_too(rates, reference):
         pulls.append((fit.lock_in_rate - WL) / fit.lock_in_rate_u)
         assert fit.lock_in_rate_u < 0.02 * WL
     assert np.max(np.abs(pulls)) < 3.3 and np.sqrt(np.mean(np.square(pulls))) < 1.6
+
+
+@pytest.mark.parametrize("wrong", [1e-3, pytest.param(1e-4, marks=pytest.mark.slow)])
+def test_rates_that_are_wrong_each_by_itself_tell_less_of_the_laser(wrong):
+    """Nobody stated it. A laser that follows such rates goes far for it, or there is none."""
+    rng = np.random.default_rng(3)
+    fits = [fitted(rng.uniform(0, 60), wrong=wrong, seed=seed, backscatter_ratio=1.6) for seed in range(5)]
+    pulls = np.array([(fit.lock_in_rate - WL) / fit.lock_in_rate_u for fit in fits])
+    assert np.max(np.abs(pulls)) < 3.3 and np.sqrt(np.mean(pulls**2)) < 1.6
+    assert max(fit.lock_in_rate_u for fit in fits) < 0.01 * WL
 
 
 @pytest.mark.parametrize("rates", [RATES, RATES[RATES > 0]])
@@ -75,8 +98,15 @@ def test_four_beats_of_stated_uncertainty_rule_out_most_of_it():
     fits = [fitted(0.0, rates=both_senses(3, 9.5), seed=seed) for seed in range(8)]
     u = np.array([fit.lock_in_rate_u for fit in fits]) / WL
     error = np.array([fit.lock_in_rate for fit in fits]) / WL - 1
-    assert u.max() < 0.001
+    assert np.median(u) < 0.0005 and u.max() < 0.0012  # the larger ones count two valleys
     assert 0.5 < np.sqrt(np.mean((error / u) ** 2)) < 1.4
+
+
+def test_where_no_laser_can_be_found_the_answer_is_doubtful():
+    """Coupling too strong for a gain so slow: searches fail, and no warning of theirs reaches anybody."""
+    fit = fitted(40, rates=both_senses(1.2, 2, 4), corner=5 * K * WL, backscatter_ratio=1.5)
+    assert not fit.any_backscatter and fit.flags & RatesFlag.MISFIT
+    assert fit.lock_in_rate_low_95 < WL < fit.lock_in_rate_high_95
 
 
 def test_rates_that_come_from_the_beats_test_nothing():
@@ -108,12 +138,12 @@ def test_slow_gain_is_no_wrong_scale_factor():
 
 
 @pytest.mark.slow
-def test_strong_coupling_near_the_threshold_counts_with_what_rates_and_beats_differ_by():
+def test_strong_coupling_near_the_threshold_is_found_or_counts():
     """Equation (1) does not hold there: by ratios the answers with the two references are far apart."""
     near = {"rates": both_senses(1.2, 2, 4), "corner": 20 * K * WL}
     by_beat, by_rate = (fitted(108, reference=reference, **near) for reference in ("beat", "rate"))
     of_ratios = [next(one.lock_in_rate for one in fit.models if one.model == "all") for fit in (by_beat, by_rate)]
-    assert abs(of_ratios[0] - of_ratios[1]) > 0.05 * WL
+    assert abs(of_ratios[0] - of_ratios[1]) > 0.01 * WL
     for fit in (by_beat, by_rate):
-        assert fit.flags & (RatesFlag.RATE_AND_BEAT_DISAGREE | RatesFlag.MISFIT)
+        assert fit.any_backscatter or fit.flags & (RatesFlag.RATE_AND_BEAT_DISAGREE | RatesFlag.MISFIT)
         assert abs(fit.lock_in_rate - WL) < 2.5 * fit.lock_in_rate_u

@@ -344,7 +344,8 @@ def test_bad_input_is_named(change, message):
         "beat_frequency": [1990.0, 1990.0],
         "scale_factor": 2000.0,
     }
-    assert fit_rate_ratios(**good).lock_in_rate == pytest.approx(0.1, rel=0.01)
+    fit = fit_rate_ratios(**good)  # the mean over gain corners that nobody stated
+    assert abs(fit.lock_in_rate - 0.1) < fit.lock_in_rate_u < 0.005
     with pytest.raises(ValueError, match=message):
         fit_rate_ratios(**{**good, **change})
 

@@ -7,6 +7,7 @@ import shutil
 import tempfile
 from pathlib import Path
 
+import pytest
 from hypothesis import settings
 
 from station.files import keep_for_batches
@@ -37,3 +38,13 @@ collect_ignore = [
     for name, framework in _FRAMEWORKS.items()
     if importlib.util.find_spec(framework) is None
 ]
+
+
+@pytest.hookimpl(trylast=True)  # after the order is drawn
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """What takes longest begins first, in every process: none is left alone with it at the end."""
+    long = [item for item in items if item.get_closest_marker("long")]
+    items[:] = [item for item in items if not item.get_closest_marker("long")]
+    quarter = len(items) // 4
+    for place, item in enumerate(long):
+        items.insert(place % 4 * (quarter + 1), item)

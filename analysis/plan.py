@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from analysis.arrays import Complexes, Floats
+from analysis.arrays import Floats
 from analysis.beam_swings import BeamModulation
 from analysis.budget import (
     BenchKnowledge,
@@ -511,7 +511,10 @@ def expected_joint_u(
         reference=reference,
     )
     rho = predicted_ratio(truth, data)
-    data = replace(data, ratio=rho, whitening=whitening_factor(_turned(rho, along, across)))
+    unit, squares = rho / np.abs(rho), np.stack([along**2, across**2], axis=-1)
+    turn = np.stack([np.stack([unit.real, -unit.imag], -1), np.stack([unit.imag, unit.real], -1)], -2)
+    covariance = np.einsum("...ij,...j,...kj->...ik", turn, squares, turn)
+    data = replace(data, ratio=rho, whitening=whitening_factor(covariance))
     prior = prior_of(receiver or BenchKnowledge(), float(frequency.min())).seen_by(data)
     if all_else_known:
         prior = replace(prior, sd=np.where(np.isinf(prior.sd), np.inf, 0.0))
@@ -531,14 +534,6 @@ def expected_joint_u(
     radial = np.stack([np.cos(phases), -np.sin(phases)], axis=-1)
     variance = np.einsum("bi,bij,bj->b", radial, fit.covariance[:, :2, :2], radial)
     return float(np.sqrt(variance.mean()))
-
-
-def _turned(rho: Complexes, along: Floats, across: Floats) -> Floats:
-    """Covariance (..., 2, 2) with given standard deviations along and across the direction of rho."""
-    unit = rho / np.abs(rho)
-    turn = np.stack([np.stack([unit.real, -unit.imag], -1), np.stack([unit.imag, unit.real], -1)], -2)
-    squares = np.stack([along**2, across**2], axis=-1)
-    return np.asarray(np.einsum("...ij,...j,...kj->...ik", turn, squares, turn))
 
 
 # --------------------

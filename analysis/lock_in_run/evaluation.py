@@ -224,7 +224,7 @@ def evaluate_rates(run: RunArrays, each: LockInEstimate, axis: AxisRates, knowle
     # shared by the records at one rate: their mean is no better than one of them
     rates_u = axis.azimuth_u * np.sqrt(counts[place])
     by_beat, problem = _fit(each, axis, rates_u, "beat", receiver)
-    by_table, _ = _fit(each, axis, rates_u, "rate", receiver)
+    by_table, _ = _fit(each, axis, rates_u, "rate", receiver, by_beat)
     beams, no_beams = None, ""
     if run.beams is not None and by_beat is not None:
         try:
@@ -292,7 +292,12 @@ def without_push(each: LockInEstimate, axis: AxisRates, beams: BeamsFit | None) 
 
 
 def _fit(
-    each: LockInEstimate, axis: AxisRates, rates_u: Floats, reference: Reference, receiver: BenchKnowledge
+    each: LockInEstimate,
+    axis: AxisRates,
+    rates_u: Floats,
+    reference: Reference,
+    receiver: BenchKnowledge,
+    other: RatesFit | None = None,
 ) -> tuple[RatesFit | None, str]:
     try:
         fit = fit_rates(
@@ -302,6 +307,7 @@ def _fit(
             reference=reference,
             receiver=receiver,
             in_order=True,
+            lasers=other.lasers if other else None,
         )
         return fit, ""
     except NoFit as reason:

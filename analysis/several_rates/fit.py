@@ -106,6 +106,7 @@ def fit_rates(
     model: Model | Literal["auto"] = "auto",
     receiver: BenchKnowledge | None = None,
     in_order: bool | None = None,
+    lasers: Sequence[LaserFit] | None = None,
 ) -> RatesFit:
     """Lock-in rate, distortion and bandwidth of the receiver, and gain corner, from records at several rates.
 
@@ -134,6 +135,8 @@ def fit_rates(
     in_order : bool, optional
         Whether the records stand in the order in which they were taken. Then phase and lock-in rate may drift over
         them, and the uncertainty counts it; without it only where the records do not fit otherwise.
+    lasers : sequence of LaserFit, optional
+        Those of the fit of these records with the other reference, which are alike; else they are looked for.
 
     Raises
     ------
@@ -155,7 +158,7 @@ def fit_rates(
 
     def fit(ordered: bool) -> RatesFit:
         records = records_of_estimates(estimates, input_rate, in_order=ordered)
-        return _fit(records, rate_u, reference, model, receiver)
+        return _fit(records, rate_u, reference, model, receiver, lasers)
 
     found = fit(bool(in_order))
     if in_order is not None:
@@ -243,6 +246,7 @@ def _fit(
     reference: Reference,
     model: Model | Literal["auto"],
     receiver: BenchKnowledge | None,
+    lasers: Sequence[LaserFit] | None = None,
 ) -> RatesFit:
     if reference not in ("rate", "beat"):
         raise ValueError(f"reference {reference!r} is neither 'rate' nor 'beat'")
@@ -303,9 +307,8 @@ def _fit(
             fit = fit_ratios(points.points, prior, np.where(held, found.parameters[:1], prior.mean))
             if not fit.singular[0]:
                 fits[name] = fit
-    lasers: list[LaserFit] = []
     gain_time_u = np.sqrt(found.covariance[0, _GAIN_TIME, _GAIN_TIME])
-    if chosen == "all" and found.parameters[0, _GAIN_TIME] > _GAIN_SEEN * gain_time_u:
+    if lasers is None and chosen == "all" and found.parameters[0, _GAIN_TIME] > _GAIN_SEEN * gain_time_u:
         starts = found.parameters[found.chi_square < found.chi_square[0] + POSSIBLE][:_STARTS]
         # what equation (1) took for uneven codes, wrong rates or statements may be another kind of backscatter
         benches = (receiver, None) if contradicted else (receiver,)
@@ -317,7 +320,7 @@ def _fit(
                 if scipy.special.chdtrc(max(lasers[0].degrees, 1), lasers[0].chi_square) > UNLIKELY:
                     points, contradicted = replace(points, uneven=noisy.uneven), contradicted and bench is None
                     break
-    result = _result(points, fits, found, known, chosen, receiver, most, lasers)
+    result = _result(points, fits, found, known, chosen, receiver, most, lasers or ())
     return replace(result, flags=result.flags | (RatesFlag.STATED_LIMITS_EXCEEDED if contradicted else 0))
 
 
@@ -377,6 +380,7 @@ _NO_CODES, _OF_CODES, _OF_RATIO = 3e-5, 0.004, 0.0015
 """rms that is nothing, and that codes of eight bits add at most to a third harmonic and to a ratio."""
 
 _IMAGINARY = 0.1  # variance of the imaginary part over that of the real one
+_OF_ANOTHER_KIND = 3.0  # half width of what other backscatter may do where no laser fits, over (2 pi K WL/g)^2
 _OF_ALL = 2.0  # half width of what codes do to the lock-in rate by all rates alike, where no record shows it
 
 _HARDLY = 0.7  # share of its uncertainty beforehand that the gain time has left, if the records hardly show it
@@ -414,7 +418,7 @@ def _result(
     chosen: Model,
     receiver: BenchKnowledge | None,
     most: float,
-    lasers: list[LaserFit],
+    lasers: Sequence[LaserFit],
 ) -> RatesFit:
     records = points.records.records
     fit, prior = fits[chosen], _prior(chosen, known)
@@ -437,6 +441,9 @@ def _result(
     if differ and (failed or not tested) and not records.rate_of_beat:
         said = widened(said, _by_other_reference(points.points, said.value, common) / math.sqrt(3))
     said = widened(said, _OF_ALL * points.uneven / math.sqrt(3))
+    if chosen == "all" and not lasers and fit.parameters[0, 3] > _GAIN_SEEN * np.sqrt(fit.covariance[0, 3, 3]):
+        delay = 2 * math.pi * records.scale_factor * said.value * float(fit.parameters[0, 3])
+        said = widened(said, _OF_ANOTHER_KIND * delay**2 / math.sqrt(3))
     us, fitted = np.sqrt(np.diagonal(covariance)), np.where([True, True, *FREE[chosen]], 1.0, np.nan)
     rates = np.abs(records.rate[records.locked])
     possible = rates[rates <= said.high]
@@ -461,7 +468,7 @@ def _result(
         distortion_u=float(us[2] * fitted[2]),
         gain_time=lasers[0].gain_time[0] if lasers else float(values[3]),
         gain_time_u=lasers[0].gain_time[1] if lasers else float(us[3] * fitted[3]),
-        any_backscatter=bool(lasers),
+        lasers=tuple(lasers),
         gain_time_limit=float(limit),
         lag_square=float(values[4]),
         lag_square_u=float(us[4] * fitted[4]),
@@ -648,7 +655,7 @@ def scale_factor_of_rates(scale_factor: float, points: Points, fit: RatioFit) ->
 
 
 def rates_flags(fit: RatesFit, records: RatioRecords, *, tested: bool, explained: bool) -> int:
-    """Bits of `RatesFlag` of a result that has none yet; `explained`: a laser says why beats are as they are."""
+    """Bits of `RatesFlag` of a result that has none yet; `explained`: a laser fits beats and ratios."""
     size, u = fit.lock_in_rate, fit.lock_in_rate_u
     plain = next((m.lock_in_rate_u for m in fit.models if m.model == "lock-in"), u)
     distorted = next((m.lock_in_rate_u for m in fit.models if m.model == "distortion"), u)
@@ -665,7 +672,7 @@ def rates_flags(fit: RatesFit, records: RatioRecords, *, tested: bool, explained
         RatesFlag.NOT_DETERMINED: u > LOOSE * size,
         RatesFlag.NOT_TESTED: not tested,
         RatesFlag.MISFIT: fit.p_value < UNLIKELY_LEFT_OUT,
-        RatesFlag.ONE_RATE_DISAGREES: bool(np.any(fit.left_out.p_value < UNLIKELY_LEFT_OUT)),
+        RatesFlag.ONE_RATE_DISAGREES: bool(np.any(fit.left_out.p_value < UNLIKELY_LEFT_OUT)) and not explained,
         RatesFlag.ONE_SENSE: bool(np.any(rate > 0, where=fit.used) != np.any(rate < 0, where=fit.used)),
         RatesFlag.GAIN_CORNER_ASSUMED_HIGH: fit.model in FREE_OF_GAIN,
         RatesFlag.LOCKED_RECORDS: fit.at_least > 0,

@@ -8,6 +8,7 @@ data, and whatever may spoil it as its unknowns, each with a bound. `analysis.si
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import product
@@ -268,9 +269,11 @@ def _by_degrees(lasers: Floats, sagnac: Floats, start: Floats, angular: Floats) 
 
 
 POSSIBLE = 9.0  # chi-square above the best up to which another solution is possible
-EVALUATIONS = 60  # steps of a search to the end
+EVALUATIONS = 40  # steps of a search to the end
 _HOPELESS, _GOOD = 100.0, 2.0  # chi-square over the values: no laser is near; much worse places are left alone
-_SETTLED = 1e-9  # a step that changes chi-square by less, relatively, was the last one
+_SETTLED, _ROUGHLY = 1e-9, 1e-4  # a step that changes chi-square by less, relatively, was the last one
+_STILL = 1e-9  # and so was one that changes the parameters by less
+_TRIED, _FAR = 15, 30.0  # steps after which a place that is still so far above a good laser is left
 _SMALL = 1e-6  # step of a parameter of which nothing is known
 _SHOWN = 0.05  # u of a turn over that beforehand, where records show it
 _TURNED = np.array([-1.5, -0.5, 0.5, 1.5])  # of the same, turns from which a search begins where they do not
@@ -300,14 +303,6 @@ class LaserFit:
         covariance[np.ix_(free, free)] = (vectors / eigenvalues) @ vectors.T / np.outer(size, size)
         volume = -0.5 * float(np.sum(np.log(eigenvalues))) - float(np.sum(np.log(size)))
         return cls(model, parameters, covariance, float(residual @ residual), volume, residual.size)
-
-    def apart(self, other: LaserFit) -> Floats:
-        """Differences of both backscatters from another's: of logarithms, and rad."""
-        # where no beam is seen nobody can say which of the two it is
-        alike = [[0, 1, 2, 3], [2, 3, 0, 1]][: 2 if math.isfinite(self.model.data.usual[0]) else 1]
-        differences = self.parameters[alike] - other.parameters[:4]
-        differences[:, 1::2] = np.angle(np.exp(1j * differences[:, 1::2]))
-        return np.asarray(differences[np.argmin(np.abs(differences).max(axis=1))])
 
     def coupling(self, widen: float, *, per_rate: bool = False) -> tuple[tuple[float, ...], tuple[float, float]]:
         """|C| freed of the bias of its size, its u and 95 % interval (rad/s), and the phase of C with its u."""
@@ -398,28 +393,44 @@ def _steps(data: LaserData) -> Floats:
     return np.diag(np.where(np.isfinite(data.sd) & (data.sd > 0), 1e-4 * data.sd, _SMALL))
 
 
-def search(model: LaserModel, start: Floats, evaluations: int) -> tuple[Floats, float] | None:
+def search(
+    model: LaserModel, start: Floats, evaluations: int, settled: float = _SETTLED
+) -> tuple[Floats, float] | None:
     """Least squares from a start: parameters and chi-square; ``None`` where no laser is near it."""
     from scipy.optimize import least_squares  # takes as long to import as all else
 
     free = np.flatnonzero(model.data.sd > 0)
+    # by what is known beforehand: measured by slopes, which are steep somewhere, steps become ever shorter
+    sizes = np.where(np.isfinite(model.data.sd), model.data.sd, 1.0)[free]
+    first, together = start[free], math.isfinite(model.data.usual[0])
+    if together:
+        # where no beam is seen the valleys follow the coupling, with ratio and angle of the backscatters
+        coupling = np.log(complex(_backscatter(start[FIRST]) + _backscatter(start[SECOND])))
+        first[:4] = coupling.real, coupling.imag, start[2] - start[0], start[3] - start[1]
+        sizes[2:4] = model.data.usual
 
-    def whole(values: Floats) -> Floats:
-        parameters = start.copy()
+    def whole(step: Floats) -> Floats:
+        parameters, values = start.copy(), first + sizes * step
         parameters[free] = values
+        if together:
+            parameters[:4] = _backscatters(np.exp(complex(*values[:2])), values[3], values[2])
         return parameters
 
-    def residual(values: Floats) -> Floats:
-        return np.asarray(model.residual(whole(values)[np.newaxis])[0])
+    def residual(step: Floats) -> Floats:
+        return np.asarray(model.residual(whole(step)[np.newaxis])[0])
 
-    def slope(values: Floats) -> Floats:
-        return _jacobian(model, whole(values), free)
+    def slope(step: Floats) -> Floats:
+        slopes = _jacobian(model, whole(step), free)
+        if together:
+            second = 1 / (1 + np.exp(-complex(*(first + sizes * step)[2:4])))
+            both = np.array([[1, 1j, -second, -1j * second], [1, 1j, 1 - second, 1j - 1j * second]])
+            slopes[:, :4] = slopes[:, :4] @ np.stack([both.real, both.imag], axis=1).reshape(4, 4)
+        return slopes * sizes
 
-    if residual(start[free])[0] == _FAILED:
+    nowhere = np.zeros(free.size)
+    if residual(nowhere)[0] == _FAILED:
         return None
-    made = least_squares(
-        residual, start[free], jac=slope, x_scale="jac", max_nfev=evaluations, ftol=_SETTLED, xtol=None, gtol=None
-    )
+    made = least_squares(residual, nowhere, jac=slope, max_nfev=evaluations, ftol=settled, xtol=_STILL, gtol=None)
     return whole(made.x), 2 * float(made.cost)
 
 
@@ -435,12 +446,15 @@ def solutions(model: LaserModel, looked: list[tuple[Floats, float]]) -> list[Las
     data = model.data
     found: list[LaserFit] = []
     for start, cost in looked:
-        if found and cost > looked[0][1] + 1e3 and found[0].chi_square < _GOOD * found[0].values:
+        least = min((one.chi_square for one in found), default=math.inf)
+        good = found and least < _GOOD * found[0].values
+        if good and cost > looked[0][1] + 1e3:
             break
-        end = search(model, start, EVALUATIONS)
-        if end is None:
-            continue
-        found = _with(found, LaserFit.at(model, end[0]))
+        end = search(model, start, _TRIED, _ROUGHLY)
+        if end and not (good and end[1] > least + _FAR):
+            end = search(model, end[0], EVALUATIONS, _ROUGHLY)
+        if end is not None and end[1] < least + _FAR:
+            found = _with(found, LaserFit.at(model, end[0]))
     if not found:
         raise NoFit("no two-mode laser fits the records")
     best = min(found, key=lambda one: one.chi_square)
@@ -449,10 +463,12 @@ def solutions(model: LaserModel, looked: list[tuple[Floats, float]]) -> list[Las
         held = LaserModel(replace(data, sd=np.where(np.arange(N_PARAMETERS) == TURN, 0.0, data.sd)), best)
         for turn in _TURNED * data.sd[TURN]:
             start = np.where(np.arange(N_PARAMETERS) == TURN, turn, best.parameters)
-            end = search(held, start, EVALUATIONS)
-            end = end and search(model, end[0], EVALUATIONS)
+            end = search(held, start, EVALUATIONS, _ROUGHLY)
+            end = end and search(model, end[0], EVALUATIONS, _ROUGHLY)
             found = found if end is None else _with(found, LaserFit.at(model, end[0]))
-    found.sort(key=lambda one: one.chi_square)
+    least = min(one.chi_square for one in found)
+    ends = (search(model, one.parameters, EVALUATIONS) for one in found if one.chi_square < least + _FAR)
+    found = sorted((LaserFit.at(model, end[0]) for end in ends if end), key=lambda one: one.chi_square)
     if found[0].chi_square > _HOPELESS * found[0].values:
         raise NoFit("no two-mode laser is near what the records show: is its backscatter too strong for its gain?")
     return [one for one in found if one.chi_square < found[0].chi_square + POSSIBLE]
@@ -460,11 +476,21 @@ def solutions(model: LaserModel, looked: list[tuple[Floats, float]]) -> list[Las
 
 def _with(found: list[LaserFit], one: LaserFit) -> list[LaserFit]:
     """The minima and one more, if it is another."""
-    u = 1e-3 + 0.5 * np.sqrt(np.diagonal(one.covariance)[:4])
-    return found if any(np.all(np.abs(one.apart(other)) < u) for other in found) else [*found, one]
+    u, data = 1e-3 + 0.5 * np.sqrt(np.diagonal(one.covariance)[:4]), one.model.data
+    alike = any(np.all(_apart(one.parameters, other.parameters, data) < u) for other in found)
+    return found if alike else [*found, one]
 
 
-def laplace(found: list[LaserFit], widen: float, *, per_rate: bool = False) -> list[tuple[float, ...]]:
+def _apart(one: Floats, other: Floats, data: LaserData) -> Floats:
+    """Differences of both backscatters of two sets: of logarithms, and rad, (4,)."""
+    # where no beam is seen nobody can say which of the two it is
+    alike = [[0, 1, 2, 3], [2, 3, 0, 1]][: 2 if math.isfinite(data.usual[0]) else 1]
+    differences = one[alike] - other[:4]
+    differences[:, 1::2] = np.angle(np.exp(1j * differences[:, 1::2]))
+    return np.asarray(np.abs(differences[np.argmin(np.abs(differences).max(axis=1))]))
+
+
+def laplace(found: Sequence[LaserFit], widen: float, *, per_rate: bool = False) -> list[tuple[float, ...]]:
     """Coupling of all minima, u of all about the best and the interval that holds them; then of each; rad/s."""
     # the share of the probability under each goes with its height and its volume, as in the fit of equation (1)
     each = [one.coupling(widen, per_rate=per_rate)[0] for one in found]
@@ -510,12 +536,14 @@ BACKSCATTER = np.array([[-math.radians(60.0), -math.log(2.5), 0.35], [math.radia
 """Between which a laser usually is: sum of the phases, rad; logarithm of a2/a1; cross over self saturation."""
 
 _LOGARITHMS, _ANGLES = (0.15, 0.7), (-0.9, -0.3, 0.3, 0.9)  # from which a search begins; exchanged beams are alike
-_FIRST_LOOK, _LOOKED_AT = 8, 3  # evaluations of a first look; how many of them are followed
+_FIRST_LOOK, _LOOKED_AT, _OF_PART = 8, 3, 20  # evaluations of a first look, how many are followed; of a part
+_ALIKE = 0.02  # of logarithms, and rad: ends of two looks that are one
 _STATED, _ROUNDS = 4.0, 3  # degrees of freedom of uncertainties that were stated
 _OFF, _UNKNOWN = 10.0, 1e-3  # rates that fit worse may be off by that share
 _BROAD = 0.3  # u of ln(a2/a1) or of the angle over that beforehand, from which one bell would not do
 _PART, _APART = 0.6, 4.0  # of what is usual, that of a part; u between valleys that are not parts of one
-_PLACES = np.array([[m, n] for m in (0.35, 1.05, 1.75) for n in (-1.75, -1.05, -0.35, 0.35, 1.05, 1.75)])
+_ANGLE_PLACES = (-1.75, -1.05, -0.35, 0.35, 1.05, 1.75)
+_PLACES = np.array([(m, n * way) for m, way in ((0.35, 1), (1.05, -1), (1.75, 1)) for n in _ANGLE_PLACES])
 
 
 def lasers_of_beat(points: Points, starts: Floats, known: Prior, bench: BenchKnowledge) -> list[LaserFit]:
@@ -553,26 +581,32 @@ def lasers_of_beat(points: Points, starts: Floats, known: Prior, bench: BenchKno
     if apart or not np.any(best.unequal_u > _BROAD * np.array(usual)):
         return found
     # What is known beforehand is a sum of narrower bells, each of which has a minimum of its own
-    found, width = [], np.array(usual) * _PART
+    found, width, near = [], np.array(usual) * _PART, best
     for place in _PLACES:
         about = place * usual
         part = replace(best.model.data, usual=tuple(width), about=tuple(about))
-        end = search(model := LaserModel(part, best), best.with_backscatter(about[1], about[0]), _FIRST_LOOK)
+        end = search(
+            model := LaserModel(part, near), near.with_backscatter(about[1], about[0]), _OF_PART, _ROUGHLY
+        )
         if end is not None:
-            one = LaserFit.at(model, end[0])
-            found.append(replace(one, chi_square=one.chi_square + float(place @ place) / (1 - _PART**2)))
+            near = LaserFit.at(model, end[0])
+            found.append(replace(near, chi_square=near.chi_square + float(place @ place) / (1 - _PART**2)))
     return sorted(found, key=lambda one: one.chi_square) or [best]
 
 
 def _looked(data: LaserData, starts: Floats) -> list[LaserFit]:
     """Lasers that some data allow, begun from several lasers at each of the sets of equation (1)."""
-    model, looked = LaserModel(data), list[tuple[Floats, float]]()
+    model, followed = LaserModel(data), list[tuple[Floats, float]]()
     model.states = model.states[..., :FEWEST]  # enough to look
-    for start, angle, logarithm in product(starts, _ANGLES, _LOGARITHMS):
-        end = search(model, _as_laser(start, angle, logarithm, data), _FIRST_LOOK)
-        looked += [end] if end else []
-    looked.sort(key=lambda one: one[1])
-    return solutions(LaserModel(data), looked[: _LOOKED_AT * len(starts)])
+    for start in starts:
+        lasers = (_as_laser(start, angle, logarithm, data) for angle, logarithm in product(_ANGLES, _LOGARITHMS))
+        looked = [end for laser in lasers if (end := search(model, laser, _FIRST_LOOK, _ROUGHLY))]
+        different = list[tuple[Floats, float]]()
+        for end in sorted(looked, key=lambda one: one[1]):
+            if all(np.max(_apart(end[0], other, data)) > _ALIKE for other, _ in different):
+                different.append(end)
+        followed += different[:_LOOKED_AT]
+    return solutions(LaserModel(data), sorted(followed, key=lambda one: one[1]))
 
 
 def _as_laser(start: Floats, angle: float, logarithm: float, data: LaserData) -> Floats:

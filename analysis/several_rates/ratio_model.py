@@ -337,7 +337,11 @@ def _minimised(data: RatioData, prior: Prior, point: Floats, iterations: int) ->
         live = live[~settled]
         if not live.size:
             break
-    return _finished(found)
+    eigenvalues, vectors = np.linalg.eigh(found.normal)
+    inverse = np.einsum("bij,bj,bkj->bik", vectors, 1 / np.maximum(eigenvalues, 1e-15), vectors)
+    inverse = inverse * found.unit[:, :, np.newaxis] * found.unit[:, np.newaxis, :]
+    covariance = np.einsum("bvp,bvw,bwq->bpq", found.ways, inverse, found.ways)
+    return RatioFit(found.point, covariance, found.cost, eigenvalues[:, 0] < SINGULAR)
 
 
 @dataclass(frozen=True)
@@ -388,14 +392,6 @@ def in_standard_uncertainties(ratio: Complexes, third: Floats, data: RatioData) 
     factor, imaginary = data.whitening, ratio.imag
     along = factor[..., 0, 0] * ratio.real + factor[..., 1, 0] * imaginary
     return np.stack([along, factor[..., 1, 1] * imaginary], axis=-1), third * data.third_weight
-
-
-def _finished(found: _Linearised) -> RatioFit:
-    eigenvalues, vectors = np.linalg.eigh(found.normal)
-    inverse = np.einsum("bij,bj,bkj->bik", vectors, 1 / np.maximum(eigenvalues, 1e-15), vectors)
-    inverse = inverse * found.unit[:, :, np.newaxis] * found.unit[:, np.newaxis, :]
-    covariance = np.einsum("bvp,bvw,bwq->bpq", found.ways, inverse, found.ways)
-    return RatioFit(found.point, covariance, found.cost, eigenvalues[:, 0] < SINGULAR)
 
 
 def residual(parameters: Floats, data: RatioData, prior: Prior) -> Floats:

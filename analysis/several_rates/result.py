@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import IntFlag
 from typing import Literal
@@ -164,7 +165,7 @@ class RatesFit:
     distortion, distortion_u : second harmonic that the receiver makes of a sine, over its fundamental, at the mean
         amplitude of the records; negative where it is in antiphase
     gain_time, gain_time_u : s, 1/g_c; noise may make it negative. What was not fitted is nan
-    any_backscatter : whether unequal or turned backscatter of the beams was fitted too
+    lasers : with any backscatter, the likeliest first, where a gain corner is in sight and one was found
     gain_time_limit : s, upper 95 % limit where the gain corner was not fitted, nan where the data know none
     gain_corner_hz, gain_corner_low_95_hz, gain_corner_high_95_hz : g_c/2 pi; inf where no end is seen
     lag_square, lag_square_u : s^2, square of the time constant of the receiver's pole; noise may make it negative
@@ -201,7 +202,7 @@ class RatesFit:
     distortion_u: float
     gain_time: float
     gain_time_u: float
-    any_backscatter: bool
+    lasers: tuple[LaserFit, ...]
     gain_time_limit: float
     lag_square: float
     lag_square_u: float
@@ -418,7 +419,7 @@ def minimum_volumes(possible: RatioFit) -> Floats:
     return np.asarray(volume * relative)
 
 
-def answer_of_lasers(found: list[LaserFit], widen: float, reference: Reference) -> RatesAnswer:
+def answer_of_lasers(found: Sequence[LaserFit], widen: float, reference: Reference) -> RatesAnswer:
     """The lock-in rate that lasers fitted to the beat give."""
     points, best = found[0].model.data.points, found[0].chi_square
     scale = 2 * math.pi * points.records.records.scale_factor

@@ -537,8 +537,12 @@ def passing_power(left: Floats) -> float:
     # white noise, and m (mean S)^2/mean(S^2) for one of the spectrum S, which the residual itself shows.
     if left.size < PARTS:
         return 0.0
-    if far := _power_of_runs(left):
-        return far
+    # long runs of one sign, far beyond what the rest shows
+    far = np.sign(left) * (np.abs(left) > FAR * 1.4826 * np.median(np.abs(left)))
+    lengths = np.diff(np.concatenate([[0], np.flatnonzero(np.diff(far)) + 1, [far.size]]))
+    in_long_run = np.repeat(lengths >= LONGEST_RUN, lengths) & (far != 0)
+    if in_long_run.any():
+        return float(np.sum(left[in_long_run] ** 2))
     length = left.size // PARTS
     cut = left[: length * PARTS].reshape(PARTS, length)
     parts = np.sum(cut**2, axis=1)
@@ -560,15 +564,6 @@ def passing_power(left: Floats) -> float:
     alike = products.sum(axis=1)
     curve = float(np.sum(alike - alike[quiet].mean()))
     return curve if curve > SMOOTH * float(np.linalg.norm(products)) else 0.0
-
-
-def _power_of_runs(left: Floats) -> float:
-    """Sum of squares of long runs of one sign far beyond what the rest of a residual (N,) shows; 0 without."""
-    far = np.sign(left) * (np.abs(left) > FAR * 1.4826 * np.median(np.abs(left)))
-    starts = np.concatenate([[0], np.flatnonzero(np.diff(far)) + 1])
-    lengths = np.diff(np.append(starts, far.size))
-    in_long_run = np.repeat(lengths >= LONGEST_RUN, lengths) & (far != 0)
-    return float(np.sum(left[in_long_run] ** 2))
 
 
 def slow_curve_power(left: Floats) -> float:

@@ -129,9 +129,15 @@ def _fitted(record: SampledRecord, seen: FirstPhase) -> tuple[Fitted, Terms, boo
     needed = terms_needed(best, record.count)
     kept = replace(needed, rate=min(int(ROOM * needed.rate) + ROOM_AT_LEAST, best.trajectory.terms.rate))
     if noisy:
-        return *_with_noise_of_the_rate(
-            record, record.fit(with_terms(best, kept), best.looseness, ITERATIONS)
-        ), True
+        # the looseness of greatest likelihood; no more terms are kept: the noise takes up what they leave
+        fitted, width = (
+            record.fit(with_terms(best, kept), best.looseness, ITERATIONS),
+            float(np.log(FREE / LOOSE)) / 2,
+        )
+        roughly = _likeliest(record, fitted, width, COARSEST)
+        needed = terms_needed(roughly, record.count)
+        again = record.fit(with_terms(roughly, needed), roughly.looseness, ITERATIONS)
+        return _likeliest(record, again, COARSEST, FINEST), needed, True
     return record.fit(with_terms(best, kept), EXACT / scale, LAST_ITERATIONS), needed, False
 
 
@@ -171,16 +177,6 @@ def _with_step_moved(record: SampledRecord, trajectory: Trajectory, seen: FirstP
     above = np.concatenate([np.cumsum(((left - height) ** 2)[::-1])[::-1], [0.0]])
     step = int(inside[0] + np.argmin(below + above))
     return replace(trajectory, terms=replace(trajectory.terms, step=step))
-
-
-def _with_noise_of_the_rate(record: SampledRecord, fitted: Fitted) -> tuple[Fitted, Terms]:
-    """The fit at the looseness of greatest likelihood, and the terms that are needed beside such noise."""
-    # No more of them are kept: the noise takes up what they leave.
-    width = float(np.log(FREE / LOOSE)) / 2
-    roughly = _likeliest(record, fitted, width, COARSEST)
-    needed = terms_needed(roughly, record.count)
-    again = record.fit(with_terms(roughly, needed), roughly.looseness, ITERATIONS)
-    return _likeliest(record, again, COARSEST, FINEST), needed
 
 
 def _likeliest(record: SampledRecord, fitted: Fitted, width: float, finest: float) -> Fitted:

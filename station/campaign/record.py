@@ -10,6 +10,7 @@ import platform
 import re
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import date
 from pathlib import Path
@@ -49,9 +50,8 @@ def write_record(outcome: CampaignOutcome, *, evaluated: Mapping[str, Evaluated]
     if outcome.verdict != ABORTED:
         for step in outcome.steps:
             if step.step.key not in known and step.run is not None and step.document:
-                again = _evaluated(step.run)
-                if again is not None:
-                    known[step.step.key] = again
+                with suppress(StationError):  # what the step says of it stands in the record
+                    known[step.step.key] = evaluate_run(open_run(step.run))
     document = record_document(outcome, known)
     folder = outcome.directory
     texts = {
@@ -67,14 +67,6 @@ def write_record(outcome: CampaignOutcome, *, evaluated: Mapping[str, Evaluated]
     except OSError as error:
         raise CannotWrite(f"{folder}: the record of the test cannot be written ({one_line(error)})") from None
     return RecordFiles(document, *paths)
-
-
-def _evaluated(path: Path) -> Evaluated | None:
-    """A run evaluated again; ``None`` where it cannot be: what the step says of it stands in the record."""
-    try:
-        return evaluate_run(open_run(path))
-    except StationError:
-        return None
 
 
 # --------------------

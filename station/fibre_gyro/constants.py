@@ -15,7 +15,7 @@ from station.errors import CannotWrite, UsageError
 from station.fibre_gyro.selfcal import numbers_of
 from station.fibre_gyro.settings import FIBRE_GYRO, FogSettings
 from station.fibre_gyro.table_result import AxisResult, find_axes
-from station.fibre_gyro.temperature import AxisTemperature, compensation_of
+from station.fibre_gyro.temperature import compensation_of
 from station.fibre_gyro.temperature import evaluate as evaluate_temperature
 from station.results.result import TextTable, plain, ppm, with_uncertainty
 from station.runs.store import SavedRun, open_run
@@ -126,7 +126,12 @@ def _plan_of(result: AxisResult, run: SavedRun, numbers: str) -> InjectionPlan:
 
 def _over_temperature(run: SavedRun, settings: FogSettings, wanted: WordFormat) -> tuple[str, tuple[Column, ...]]:
     found = evaluate_temperature(run, settings, {})
-    one = _axis_of(found.axes, run, wanted.axis)
+    meant = [one for one in found.axes if wanted.axis in (one.axis, "")]
+    if not meant or (len(found.axes) > 1 and not wanted.axis):
+        raise UsageError(
+            f"{run.path}: name one of its axes with --axis: {', '.join(one.axis for one in found.axes)}"
+        )
+    one = meant[0]
     table = compensation_of(one, settings)
     columns = []
     for name, what, unit, values, values_u in (
@@ -145,13 +150,6 @@ def _over_temperature(run: SavedRun, settings: FogSettings, wanted: WordFormat) 
     if not columns:
         raise ValueError("the measured temperatures hold no whole multiple of temperature.table_step_c")
     return one.axis, tuple(columns)
-
-
-def _axis_of(axes: tuple[AxisTemperature, ...], run: SavedRun, wanted: str) -> AxisTemperature:
-    for one in axes:
-        if wanted in (one.axis, "") and (wanted or len(axes) == 1):
-            return one
-    raise UsageError(f"{run.path}: name one of its axes with --axis: {', '.join(one.axis for one in axes)}")
 
 
 def _column(

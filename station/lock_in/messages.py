@@ -112,7 +112,10 @@ def quadrature_sentences(evaluation: LockInEvaluation) -> list[str]:
         f"Sine and cosine channel: amplitudes {with_uncertainty(found.gain_ratio, found.gain_ratio_u)} to 1, "
         f"{error}° beyond a right angle, {sense} of rotation."
     )
-    levels = [_level_words(d, u) for d, u in zip(found.distortion, found.distortion_u, strict=True)]
+    levels = [
+        f"{20 * math.log10(d):.1f} dBc" if d > 3 * u else f"below {20 * math.log10(d + 2 * u):.0f} dBc"
+        for d, u in zip(map(abs, found.distortion), found.distortion_u, strict=True)
+    ]
     second = (
         f"Second harmonic made by the receivers: sine {levels[0]}, cosine {levels[1]}; taken out. Alone "
         f"the sine would give {found.sine_alone:.6g} deg/s and the cosine {found.cosine_alone:.6g} deg/s."
@@ -158,13 +161,6 @@ def beams_sentences(several: SeveralRates) -> list[str]:
         f"The difference of the beams makes beats faster by up to {100 * float(np.max(fit.push)):.2g} %.",
     ]
     return [*said, *(text for flag, text in _BEAMS_FLAGS.items() if flag & fit.flags)]
-
-
-def _level_words(distortion: float, u: float) -> str:
-    """Level of a second harmonic in dBc, or the limit below which it is."""
-    if abs(distortion) > 3 * u:
-        return f"{20 * math.log10(abs(distortion)):.1f} dBc"
-    return f"below {20 * math.log10(abs(distortion) + 2 * u):.0f} dBc"
 
 
 def no_result_words(evaluation: LockInEvaluation) -> str:
@@ -342,7 +338,7 @@ def _coupling(fit: RatesFit) -> str:
     """What coupling without loss would do to the gain corner, where that is more than its uncertainty."""
     slowest = float(np.min(np.abs(fit.rate[fit.used])))
     share = COUPLING * (fit.lock_in_rate / slowest) ** 2
-    if fit.any_backscatter or share * fit.gain_time < fit.gain_time_u:
+    if fit.lasers or share * fit.gain_time < fit.gain_time_u:
         return ""
     return (
         f" It holds for backscatter of the two beams in phase; {COUPLING_DEG} deg between them would make it "

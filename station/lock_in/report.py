@@ -231,7 +231,12 @@ def time_record_svg(waveform: Waveform) -> str:
 def spectrum_svg(waveform: Waveform) -> str:
     """Draw the spectrum of a record in dB of its fundamental, harmonics marked; argument as above."""
     frequency = float(fit_harmonics(waveform.volts, waveform.sample_interval, nan_policy="omit").frequency)
-    amplitudes, frequencies = _windowed_spectrum(waveform)
+    volts = _without_gaps(waveform)
+    phase = 2 * np.pi * (np.arange(volts.size) + 0.5) / volts.size
+    # Blackman and Harris: low skirts
+    window = 0.35875 - 0.48829 * np.cos(phase) + 0.14128 * np.cos(2 * phase) - 0.01168 * np.cos(3 * phase)
+    amplitudes = 2 * np.abs(np.fft.rfft(volts * window)) / window.sum()
+    frequencies = np.fft.rfftfreq(volts.size, waveform.sample_interval)
     level = 20 * np.log10(np.maximum(amplitudes, 1e-12) / amplitudes.max())
     end = min(8.6 * frequency, float(frequencies[-1]))
     scale, unit = _frequency_unit(end)
@@ -337,15 +342,6 @@ def values_svg(evaluation: LockInEvaluation) -> str:
         legend_above(above)
 
     return svg_element("values", TALL, draw)
-
-
-def _windowed_spectrum(waveform: Waveform) -> tuple[Array, Array]:
-    """Amplitudes in V at the frequencies of the discrete transform, Blackman-Harris window (low skirts)."""
-    volts = _without_gaps(waveform)
-    phase = 2 * np.pi * (np.arange(volts.size) + 0.5) / volts.size
-    window = 0.35875 - 0.48829 * np.cos(phase) + 0.14128 * np.cos(2 * phase) - 0.01168 * np.cos(3 * phase)
-    amplitudes = 2 * np.abs(np.fft.rfft(volts * window)) / window.sum()
-    return np.asarray(amplitudes), np.asarray(np.fft.rfftfreq(volts.size, waveform.sample_interval), np.float64)
 
 
 def _without_gaps(waveform: Waveform) -> Array:

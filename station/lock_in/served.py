@@ -28,7 +28,10 @@ def simulated_scopes(
     """Oscilloscopes in real time, set so that what they show fills their screens."""
     clock, scopes = RealClock(), []
     for number, model in enumerate(models or ("",)):
-        one = _changed(settings, model, number)
+        one, simulation = settings, settings.simulation
+        if simulation is not None:
+            changes = {"seed": simulation.seed + number, **({"scope_model": model} if model else {})}
+            one = settings.model_copy(update={"simulation": simulation.model_copy(update=changes)})
         instruments = build_instruments(at_slow_rate(one), clock)
         if signals:
             scopes.append(_showing(signals, one, instruments))
@@ -44,15 +47,6 @@ def scope_on_table(settings: Settings) -> tuple[SimulatedTDS2014, SimulatedRateT
     instruments = build_instruments(at_slow_rate(settings), RealClock())
     _show_the_beat(instruments, settings)
     return instruments.scope, instruments.table
-
-
-def _changed(settings: Settings, model: str, number: int) -> Settings:
-    """The settings of one of several scopes."""
-    simulation = settings.simulation
-    if simulation is None:
-        return settings
-    changes = {"seed": simulation.seed + number, **({"scope_model": model} if model else {})}
-    return settings.model_copy(update={"simulation": simulation.model_copy(update=changes)})
 
 
 def _showing(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import itertools
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -33,8 +34,9 @@ def salvage(path: Path, parent: Path | None = None) -> Salvaged:
     # as they lie: opening a run may fold them
     content, journal = file.read_bytes(), beside.read_bytes() if beside.exists() else b""
     records, facts = _scanned(content, journal)
-    run = _opened(file)
-    if run is not None:
+    run: SavedRun | None = None
+    with suppress(RunError):  # also one of an earlier layout
+        run = open_run(file)
         records |= {record.number: record for record in run.records if record.intact}
         facts |= run.facts
     keys: dict[str, int] = {}
@@ -52,14 +54,6 @@ def salvage(path: Path, parent: Path | None = None) -> Salvaged:
         for first in range(0, len(kept), _COMMIT):
             writer.save_records(kept[first : first + _COMMIT])
     return Salvaged(writer.path, len(records), lost)
-
-
-def _opened(file: Path) -> SavedRun | None:
-    """The run, where it can be opened; also one of an earlier layout."""
-    try:
-        return open_run(file)
-    except RunError:
-        return None
 
 
 def _scanned(content: bytes, journal: bytes) -> tuple[dict[int, SavedRecord], dict[str, Any]]:

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from instrument import Waveform
-from instrument.tek_files import TekFile as File
 from instrument.tek_files import read_tek_file
 from station.errors import UsageError
 from station.runs.database import LAYOUTS, RunFacts, is_database
@@ -126,7 +125,12 @@ class TekSource(Source):
     def __init__(self, path: Path) -> None:
         self.path, self.name, self.unusable = path, str(path), {}
         file = read_tek_file(path)
-        self.kind, self.waveform = file.kind, _with_coupling(file)
+        self.kind, self.waveform, wave = file.kind, file.waveform, file.waveform
+        # a CSV does not say how its channel was coupled: the setup beside it does, in the words of a preamble
+        if "coupling" not in wave.preamble.wfid and (coupling := file.setting("COUPLING")):
+            source, _, rest = wave.preamble.wfid.partition(", ")
+            said = replace(wave.preamble, wfid=f"{source}, {coupling} coupling, {rest}")
+            self.waveform = Waveform(wave.codes, said)
         self.channel = self.waveform.preamble.wfid.split(",")[0].upper()
         about, facts = file.about, dict[str, Any]()
         if about:
@@ -153,12 +157,3 @@ class TekSource(Source):
     def sha256(self) -> str:
         """SHA-256 of the file."""
         return hashlib.sha256(self.path.read_bytes()).hexdigest()
-
-
-def _with_coupling(file: File) -> Waveform:
-    """A CSV does not say how its channel was coupled: the setup beside it does, in the words of a preamble."""
-    wave, coupling = file.waveform, file.setting("COUPLING")
-    if "coupling" in wave.preamble.wfid or not coupling:
-        return wave
-    source, _, rest = wave.preamble.wfid.partition(", ")
-    return Waveform(wave.codes, replace(wave.preamble, wfid=f"{source}, {coupling} coupling, {rest}"))

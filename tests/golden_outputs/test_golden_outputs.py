@@ -45,7 +45,8 @@ def check(told: dict[str, str]) -> list[str]:
 
 
 @pytest.mark.parametrize(
-    "group", [pytest.param(group, marks=pytest.mark.slow) if group in SLOW else group for group in GROUPS]
+    "group",
+    [pytest.param(group, marks=pytest.mark.slow if group in SLOW else pytest.mark.long) for group in GROUPS],
 )
 def test_what_is_printed_and_written_is_what_is_stored(group: str, tmp_path: Path) -> None:
     told = write_outputs(tmp_path, [group])

@@ -58,6 +58,7 @@ def test_a_result_shows_itself(name: str) -> None:
     assert len(picture.axes) == (2 if name in RING_LASER else 1)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", RING_LASER)
 def test_records_of_an_oscilloscope_are_arrays(name: str) -> None:
     run = opened(name)
@@ -123,6 +124,7 @@ def test_limits_from_a_settings_file(tmp_path: Path) -> None:
     assert "lock_in_rate_dps is beyond its limit" in result._repr_html_()
 
 
+@pytest.mark.long
 def test_a_record_is_chosen_by_place_or_by_name() -> None:
     result = opened("several").result()
     assert result.plot(2).get_suptitle() == result.plot("3").get_suptitle() == "gyrolock measure: record 3"
@@ -159,6 +161,7 @@ def test_no_run(tmp_path: Path) -> None:
         gyrolock.open_run(tmp_path)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["single", "several"])
 def test_the_number_that_lists_show_is_the_results_own(name: str) -> None:
     result = gyrolock.open_run(GOLDEN / f"{name}.sqlite").result()

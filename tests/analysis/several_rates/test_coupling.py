@@ -105,7 +105,7 @@ def test_four_beats_of_stated_uncertainty_rule_out_most_of_it():
 def test_where_no_laser_can_be_found_the_answer_is_doubtful():
     """Coupling too strong for a gain so slow: searches fail, and no warning of theirs reaches anybody."""
     fit = fitted(40, rates=both_senses(1.2, 2, 4), corner=5 * K * WL, backscatter_ratio=1.5)
-    assert not fit.any_backscatter and fit.flags & RatesFlag.MISFIT
+    assert not fit.lasers and fit.flags & RatesFlag.MISFIT
     assert fit.lock_in_rate_low_95 < WL < fit.lock_in_rate_high_95
 
 
@@ -145,5 +145,5 @@ def test_strong_coupling_near_the_threshold_is_found_or_counts():
     of_ratios = [next(one.lock_in_rate for one in fit.models if one.model == "all") for fit in (by_beat, by_rate)]
     assert abs(of_ratios[0] - of_ratios[1]) > 0.01 * WL
     for fit in (by_beat, by_rate):
-        assert fit.any_backscatter or fit.flags & (RatesFlag.RATE_AND_BEAT_DISAGREE | RatesFlag.MISFIT)
+        assert fit.lasers or fit.flags & (RatesFlag.RATE_AND_BEAT_DISAGREE | RatesFlag.MISFIT)
         assert abs(fit.lock_in_rate - WL) < 2.5 * fit.lock_in_rate_u

@@ -703,15 +703,19 @@ def _from_channel(
 ) -> Iterator[BudgetInput]:
     """Filters of channel and laser: the fit again with the ratios that would be seen without them."""
 
+    plain: list[RatesFit] = []
+
     def shift(factor: Callable[[Floats], Complexes]) -> float:
         """Change of the lock-in rate, deg/s, if the ratios were multiplied by a factor of their frequency."""
         try:
-            before, after = (fit_again(fit, factor=one, receiver=receiver) for one in (np.ones_like, factor))
+            if not plain:
+                plain.append(fit_again(fit, factor=np.ones_like, receiver=receiver))
+            after = fit_again(fit, factor=factor, receiver=receiver)
         except NoFit:
             # as at the rate that determines the result best
             place = int(np.nanargmin(np.abs(each.beat_frequency - point.beat_frequency)))
             return fit.lock_in_rate * float(np.abs(factor(each.beat_frequency[place : place + 1])[0]) - 1)
-        return after.lock_in_rate - before.lock_in_rate
+        return after.lock_in_rate - plain[0].lock_in_rate
 
     for name, field, quantity, factor in CORNERS:
         corner: ResponseCorner = getattr(known.knowledge, field)

@@ -176,7 +176,7 @@ def fit_again(
 ) -> RatesFit:
     """The fit of the same records, with the ratio of each times a factor of its beat frequency."""
     records = fit.each.records.records.times(factor)
-    return _fit(records, np.zeros(()), fit.reference, fit.model, receiver)
+    return _fit(records, fit.each.records.rate_u, fit.reference, fit.model, receiver)
 
 
 def fit_rate_ratios(

@@ -6,6 +6,7 @@ from bench_signals import WL, K, both_senses, ratios_of_slow_gain, volts
 
 from analysis import estimate_lock_in, fit_rate_ratios, fit_rates
 from analysis.several_rates import RatesFlag
+from benchmarks import sbc
 
 NOISE = 1e-4
 CORNER = 15 * K * WL
@@ -107,6 +108,13 @@ def test_where_no_laser_can_be_found_the_answer_is_doubtful():
     fit = fitted(40, rates=both_senses(1.2, 2, 4), corner=5 * K * WL, backscatter_ratio=1.5)
     assert not fit.lasers and fit.flags & RatesFlag.MISFIT
     assert fit.lock_in_rate_low_95 < WL < fit.lock_in_rate_high_95
+
+
+@pytest.mark.parametrize(("plan", "seed"), [("two rates in one sense", 100034), ("default run", 100004)])
+def test_lasers_that_once_were_missed_or_doubted(plan, seed):
+    """One minimum of equation (1) hid another, where the laser is; and no single rate disagrees with a laser."""
+    found = sbc.outcome(sbc.PLANS[plan], 1.0, None, seed)
+    assert abs(found.pull) < 2.6 and found.covered and not found.doubtful
 
 
 def test_rates_that_come_from_the_beats_test_nothing():

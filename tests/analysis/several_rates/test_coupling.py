@@ -5,7 +5,8 @@ import pytest
 from bench_signals import WL, K, both_senses, ratios_of_slow_gain, volts
 
 from analysis import estimate_lock_in, fit_rate_ratios, fit_rates
-from analysis.several_rates import RatesFlag
+from analysis.budget import BenchKnowledge
+from analysis.several_rates import RatesFlag, fit_again
 from benchmarks import sbc
 
 NOISE = 1e-4
@@ -128,6 +129,17 @@ def test_rates_that_come_from_the_beats_test_nothing():
     known, circular = (fit_rates(made, input_rate=rate, reference="beat") for rate in (given, own))
     assert abs(circular.lock_in_rate - known.lock_in_rate) < 1.2 * circular.lock_in_rate_u
     assert known.lock_in_rate_u < 0.0001 * WL < 0.0018 * WL < circular.lock_in_rate_u
+
+
+def test_a_fit_repeated_is_the_same_with_rates_as_uncertain_as_they_were():
+    rates, ratios, beats = ratios_of_slow_gain(RATES, CORNER, np.deg2rad(40.0))
+    u = 1e-3 * np.abs(rates)
+    fit = fit_rate_ratios(
+        rates, ratios, np.eye(2) * NOISE**2, beats, scale_factor=K, input_rate_u=u, reference="beat"
+    )
+    again = fit_again(fit, factor=np.ones_like, receiver=BenchKnowledge(third_order_limit=0.0))
+    assert fit.lasers and again.lock_in_rate_u == pytest.approx(fit.lock_in_rate_u, rel=1e-6)
+    assert abs(again.lock_in_rate - fit.lock_in_rate) < 1e-3 * fit.lock_in_rate_u
 
 
 def test_a_wrong_scale_factor_is_no_coupling():

@@ -32,6 +32,7 @@ from station.results.quantity import Value, headline_values
 from station.results.result import TextTable
 from station.runs.annotations import Remarks, read_remarks, remarks_file
 from station.runs.database import COMPLETE, TAKEN, RunFacts, journal_of, read_facts, reading
+from station.runs.store import results_of
 from station.sources.find import first_time
 
 if TYPE_CHECKING:
@@ -248,7 +249,7 @@ def read_entry(file: Path, name: str) -> Entry | None:
         return Entry(name, problem=str(error), **said)
     if unusable:
         problem = f"{', '.join(unusable)}: not what was once saved"
-    facts, document = RunFacts(known), _document(found)
+    facts, document = RunFacts(known), results_of(found) or {}
     identity, made = facts.get("identity") or {}, facts.get("provenance") or {}
     gyro, labels, tested = facts.settings.get("gyro"), facts.labels, document.get("limits")
     return Entry(
@@ -280,13 +281,6 @@ def read_entry(file: Path, name: str) -> Entry | None:
         problem=problem,
         **said,
     )
-
-
-def _document(row: tuple[Any, ...] | None) -> dict[str, Any]:
-    with suppress(TypeError, ValueError, RecursionError):
-        found = json.loads(row[0]) if row else {}
-        return found if isinstance(found, dict) else {}
-    return {}
 
 
 # --------------------

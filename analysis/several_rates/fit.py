@@ -425,7 +425,7 @@ def _result(
     degrees, height = _degrees(fit, points, prior), float(fit.chi_square[0])
     if lasers:
         degrees, height = lasers[0].degrees, lasers[0].chi_square
-    chi_square, p_value, widen, freedom = _test(height, degrees, fit, points)
+    chi_square, p_value, widen, freedom = _test(height, degrees, fit, points, lasers)
     covariance = polar_covariance(fit) * widen
     said = answer_of_lasers(lasers, widen, points.points.reference) if lasers else answer(found, widen, freedom)
     tested = left_over(points.points, prior, points.settings) > 0
@@ -509,12 +509,16 @@ def _result(
     return replace(result, flags=flags | (RatesFlag.RATE_AND_BEAT_DISAGREE if differ else 0))
 
 
-def _test(chi_square: float, degrees: int, fit: RatioFit, points: Points) -> tuple[float, float, float, int]:
+def _test(
+    chi_square: float, degrees: int, fit: RatioFit, points: Points, lasers: Sequence[LaserFit]
+) -> tuple[float, float, float, int]:
     """Chi-square of the means, the smaller chance of it and of the scatter about them, and what follows."""
     # The last two: the factor by which the variances grow where chance does not explain it, and the degrees of
     # freedom of that factor, 0 where it is 1.
     # a drift that is hardly determined says nothing of single records
     steady, us = fit.parameters.copy(), np.sqrt(np.diagonal(fit.covariance[0]))
+    if lasers:  # what equation (1) takes for drifts may be another kind of backscatter
+        steady[0, SENSES:], us[SENSES:] = lasers[0].drifts
     steady[0, SENSES + 1 :] *= np.abs(steady[0, SENSES + 1 :]) > SIGNIFICANT * us[SENSES + 1 :]
     scatter, scatter_degrees = points.scatter(steady)
     tests = [(chi_square, degrees), (scatter, scatter_degrees)]

@@ -350,6 +350,12 @@ class LaserFit:
         return np.asarray(np.sqrt(np.diagonal(difference @ self.covariance[:4, :4] @ difference.T)))
 
     @property
+    def drifts(self) -> tuple[Floats, Floats]:
+        """Phase between the senses, its turn and bend over the run, growth of the coupling; their u, (4,) each."""
+        us = np.sqrt(np.diagonal(self.covariance))
+        return self.parameters[BETWEEN : DRIFT + 1], np.asarray(us[BETWEEN : DRIFT + 1])
+
+    @property
     def gain_time(self) -> tuple[float, float]:
         """1/g_c and its standard uncertainty, s."""
         time = math.exp(-float(self.parameters[GAIN]))

@@ -165,7 +165,7 @@ def open_run(path: Path) -> SavedRun:
         records = tuple(read_record(row, layout) for row in db.execute(layout.select))
         results = db.execute("SELECT value FROM result ORDER BY number DESC LIMIT 1").fetchone()
         damaged = tuple(damage_of(records, unusable))
-        return SavedRun(file, RunFacts(facts), records, _results(results), unusable, protected, damaged)
+        return SavedRun(file, RunFacts(facts), records, results_of(results), unusable, protected, damaged)
 
 
 def read_record(row: Sequence[Any], layout: Layout) -> SavedRecord:
@@ -219,7 +219,8 @@ def damaged_facts(unusable: Mapping[str, str]) -> Iterator[str]:
     yield from (f"what the run knows of itself is damaged: {name} {why}" for name, why in unusable.items())
 
 
-def _results(row: Sequence[Any] | None) -> dict[str, Any] | None:
+def results_of(row: Sequence[Any] | None) -> dict[str, Any] | None:
+    """The results of a run, from the row that holds them; ``None`` where there are none that can be read."""
     try:
         found = json.loads(row[0]) if row else None
     except (TypeError, ValueError, RecursionError):

@@ -94,7 +94,7 @@ def _trigger(state: ScopeState, arguments: tuple[Argument, ...]) -> Iterator[byt
 
 
 def _nothing(state: ScopeState, arguments: tuple[Argument, ...]) -> None:
-    """Accepted; a simulated instrument is always calibrated."""
+    """Accepted with any argument, without effect here: a simulated instrument is always calibrated."""
 
 
 def _autoset(state: ScopeState, arguments: tuple[Argument, ...]) -> None:
@@ -250,10 +250,6 @@ def _no_status(state: ScopeState, arguments: tuple[Argument, ...]) -> None:
     no_argument(arguments)
 
 
-def _ignored(state: ScopeState, arguments: tuple[Argument, ...]) -> None:
-    """Accepted with any argument and without effect here."""
-
-
 def _unlock(state: ScopeState, arguments: tuple[Argument, ...]) -> None:
     """As LOCk NONe. (In remote with lockout, which no link here has, a real unit ignores it.)"""
     _ALL.read(one_argument(arguments))
@@ -300,7 +296,7 @@ STATUS_ACTIONS = {
     "*OPC": Action(answer("", lambda state: "1"), _report_completion, waits=lambda state: state.busy()),
     "*WAI": Action(order=_no_status, waits=lambda state: state.busy()),
     "UNLock": Action(order=_unlock),
-    "REM": Action(order=_ignored),
+    "REM": Action(order=_nothing),
 }
 
 

@@ -111,9 +111,11 @@ def test_where_no_laser_can_be_found_the_answer_is_doubtful():
     assert fit.lock_in_rate_low_95 < WL < fit.lock_in_rate_high_95
 
 
-@pytest.mark.parametrize(("plan", "seed"), [("two rates in one sense", 100034), ("default run", 100004)])
+@pytest.mark.parametrize(
+    ("plan", "seed"), [("two rates in one sense", 100034), ("default run", 100004), ("channel unstated", 100060)]
+)
 def test_lasers_that_once_were_missed_or_doubted(plan, seed):
-    """One minimum of equation (1) hid another, where the laser is; and no single rate disagrees with a laser."""
+    """One minimum of equation (1) hid another, no single rate disagrees, and drifts are those of the laser."""
     found = sbc.outcome(sbc.PLANS[plan], 1.0, None, seed)
     assert abs(found.pull) < 2.6 and found.covered and not found.doubtful
 

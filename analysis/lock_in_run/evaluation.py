@@ -307,7 +307,7 @@ def _fit(
             reference=reference,
             receiver=receiver,
             in_order=True,
-            lasers=other.lasers if other else None,
+            other=other,
         )
         return fit, ""
     except NoFit as reason:
@@ -702,7 +702,6 @@ def _from_channel(
     each: LockInEstimate, fit: RatesFit, known: Bounded, point: OperatingPoint, receiver: BenchKnowledge
 ) -> Iterator[BudgetInput]:
     """Filters of channel and laser: the fit again with the ratios that would be seen without them."""
-
     plain: list[RatesFit] = []
 
     def shift(factor: Callable[[Floats], Complexes]) -> float:

@@ -106,7 +106,7 @@ def fit_rates(
     model: Model | Literal["auto"] = "auto",
     receiver: BenchKnowledge | None = None,
     in_order: bool | None = None,
-    lasers: Sequence[LaserFit] | None = None,
+    other: RatesFit | None = None,
 ) -> RatesFit:
     """Lock-in rate, distortion and bandwidth of the receiver, and gain corner, from records at several rates.
 
@@ -135,8 +135,8 @@ def fit_rates(
     in_order : bool, optional
         Whether the records stand in the order in which they were taken. Then phase and lock-in rate may drift over
         them, and the uncertainty counts it; without it only where the records do not fit otherwise.
-    lasers : sequence of LaserFit, optional
-        Those of the fit of these records with the other reference, which are alike; else they are looked for.
+    other : RatesFit, optional
+        The fit of these records with the other reference: its lasers hold, and are not looked for again.
 
     Raises
     ------
@@ -158,7 +158,7 @@ def fit_rates(
 
     def fit(ordered: bool) -> RatesFit:
         records = records_of_estimates(estimates, input_rate, in_order=ordered)
-        return _fit(records, rate_u, reference, model, receiver, lasers)
+        return _fit(records, rate_u, reference, model, receiver, other)
 
     found = fit(bool(in_order))
     if in_order is not None:
@@ -246,7 +246,7 @@ def _fit(
     reference: Reference,
     model: Model | Literal["auto"],
     receiver: BenchKnowledge | None,
-    lasers: Sequence[LaserFit] | None = None,
+    other: RatesFit | None = None,
 ) -> RatesFit:
     if reference not in ("rate", "beat"):
         raise ValueError(f"reference {reference!r} is neither 'rate' nor 'beat'")
@@ -308,7 +308,10 @@ def _fit(
             if not fit.singular[0]:
                 fits[name] = fit
     gain_time_u = np.sqrt(found.covariance[0, _GAIN_TIME, _GAIN_TIME])
-    if lasers is None and chosen == "all" and found.parameters[0, _GAIN_TIME] > _GAIN_SEEN * gain_time_u:
+    lasers: Sequence[LaserFit] = other.lasers if other else ()
+    if other is not None and lasers:
+        contradicted = bool(other.flags & RatesFlag.STATED_LIMITS_EXCEEDED)
+    elif other is None and chosen == "all" and found.parameters[0, _GAIN_TIME] > _GAIN_SEEN * gain_time_u:
         starts = found.parameters[found.chi_square < found.chi_square[0] + POSSIBLE][:_STARTS]
         # what equation (1) took for uneven codes, wrong rates or statements may be another kind of backscatter
         benches = (receiver, None) if contradicted else (receiver,)
@@ -320,7 +323,7 @@ def _fit(
                 if scipy.special.chdtrc(max(lasers[0].degrees, 1), lasers[0].chi_square) > UNLIKELY:
                     points, contradicted = replace(points, uneven=noisy.uneven), contradicted and bench is None
                     break
-    result = _result(points, fits, found, known, chosen, receiver, most, lasers or ())
+    result = _result(points, fits, found, known, chosen, receiver, most, lasers)
     return replace(result, flags=result.flags | (RatesFlag.STATED_LIMITS_EXCEEDED if contradicted else 0))
 
 

@@ -271,8 +271,7 @@ def _by_degrees(lasers: Floats, sagnac: Floats, start: Floats, angular: Floats) 
 POSSIBLE = 9.0  # chi-square above the best up to which another solution is possible
 EVALUATIONS = 40  # steps of a search to the end
 _HOPELESS, _GOOD = 100.0, 2.0  # chi-square over the values: no laser is near; much worse places are left alone
-_SETTLED, _ROUGHLY = 1e-9, 1e-4  # a step that changes chi-square by less, relatively, was the last one
-_STILL = 1e-9  # and so was one that changes the parameters by less
+_SETTLED, _ROUGHLY = 1e-9, 1e-4  # a step that changes chi-square (or parameters: 1e-9) by less was the last one
 _TRIED, _FAR = 15, 30.0  # steps after which a place that is still so far above a good laser is left
 _SMALL = 1e-6  # step of a parameter of which nothing is known
 _SHOWN = 0.05  # u of a turn over that beforehand, where records show it
@@ -436,7 +435,7 @@ def search(
     nowhere = np.zeros(free.size)
     if residual(nowhere)[0] == _FAILED:
         return None
-    made = least_squares(residual, nowhere, jac=slope, max_nfev=evaluations, ftol=settled, xtol=_STILL, gtol=None)
+    made = least_squares(residual, nowhere, slope, max_nfev=evaluations, ftol=settled, xtol=_SETTLED, gtol=None)
     return whole(made.x), 2 * float(made.cost)
 
 

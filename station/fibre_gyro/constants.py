@@ -127,10 +127,9 @@ def _plan_of(result: AxisResult, run: SavedRun, numbers: str) -> InjectionPlan:
 def _over_temperature(run: SavedRun, settings: FogSettings, wanted: WordFormat) -> tuple[str, tuple[Column, ...]]:
     found = evaluate_temperature(run, settings, {})
     meant = [one for one in found.axes if wanted.axis in (one.axis, "")]
-    if not meant or (len(found.axes) > 1 and not wanted.axis):
-        raise UsageError(
-            f"{run.path}: name one of its axes with --axis: {', '.join(one.axis for one in found.axes)}"
-        )
+    if len(meant) != 1:
+        names = ", ".join(one.axis for one in found.axes)
+        raise UsageError(f"{run.path}: name one of its axes with --axis: {names}")
     one = meant[0]
     table = compensation_of(one, settings)
     columns = []

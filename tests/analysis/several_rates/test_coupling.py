@@ -108,6 +108,7 @@ def test_where_no_laser_can_be_found_the_answer_is_doubtful():
     """Coupling too strong for a gain so slow: searches fail, and no warning of theirs reaches anybody."""
     fit = fitted(40, rates=both_senses(1.2, 2, 4), corner=5 * K * WL, backscatter_ratio=1.5)
     assert not fit.lasers and fit.flags & RatesFlag.MISFIT
+    assert fit.lock_in_rate_u > 0.24 * WL  # 0.235 without what other backscatter may do
     assert fit.lock_in_rate_low_95 < WL < fit.lock_in_rate_high_95
 
 

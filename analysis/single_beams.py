@@ -24,7 +24,7 @@ import scipy.special
 
 from analysis.arrays import NORMAL_95, Complexes, Floats, NoFit
 from analysis.beam_swings import BeamModulation, BeamsFlag
-from analysis.budget import TABLE_RATE_LIMIT, BenchKnowledge, lowest_bandwidth
+from analysis.budget import BenchKnowledge, lowest_bandwidth
 from analysis.frequency_method import fit_frequencies
 from analysis.several_rates import RatesFit
 from analysis.several_rates.laser_fit import (
@@ -38,6 +38,7 @@ from analysis.several_rates.laser_fit import (
     FIRST,
     GAIN,
     LAG,
+    LEAST_U,
     LEVEL,
     MOST_BIAS,
     OTHER_BEAM,
@@ -52,7 +53,8 @@ from analysis.several_rates.laser_fit import (
     LaserModel,
     beforehand,
     laplace,
-    rates_and_beats_u,
+    lasers_by_rates,
+    rates_weight,
     search,
     solutions,
 )
@@ -72,7 +74,7 @@ class BeamsKnowledge:
     ac_corner_hz: float = 0.0  # of the AC coupling that was taken out; 0: there is none
     bandwidth_hz: float = math.nan  # lowest corner of the beams' receivers, one pole each
     scale_u: float = math.nan  # relative, of scale factor and rates, common to all settings
-    rate_u: float = math.nan  # relative, of each rate by itself
+    rate_u: float = LEAST_U  # relative, of each rate by itself; the records say when it is larger
     dead_band: float = math.nan  # lock-in rate by the dead band, deg/s, and its standard uncertainty
     dead_band_u: float = math.nan
 
@@ -201,9 +203,9 @@ def fit_beams(
     scatter, degrees = gathered.scatter(steady, turning=True)
     if degrees > 0 and float(scipy.special.chdtrc(degrees, scatter)) < UNLIKELY:
         gathered = with_noise(gathered, (scatter / degrees - 1) * gathered.covariance)
-    data = beams_data(gathered, modulation, knowledge or BeamsKnowledge(), receiver or BenchKnowledge())
-    model = LaserModel(data)
-    found = solutions(model, _looked(model))
+    known = knowledge or BeamsKnowledge()
+    data = beams_data(gathered, modulation, known, receiver or BenchKnowledge())
+    found = lasers_by_rates(data, lambda data: solutions(LaserModel(data), _looked(data)), known.rate_u)
     best, points = found[0], data.points.points
     degrees = data.degrees
     p_value = float(scipy.special.chdtrc(degrees, best.chi_square)) if degrees > 0 else math.nan
@@ -211,8 +213,8 @@ def fit_beams(
     scale = 2 * np.pi * data.points.records.records.scale_factor
     (value, u, low, high), *_ = laplace(found, widen)
     routes, push = _routes(fit, data, best), best.push()
-    if knowledge is not None and (u_of_band := knowledge.dead_band_u) > 0:
-        reach, band = NORMAL_95 * u_of_band, knowledge.dead_band
+    if (u_of_band := known.dead_band_u) > 0:
+        reach, band = NORMAL_95 * u_of_band, known.dead_band
         routes += (Route("dead band", band, u_of_band, max(band - reach, 0.0), band + reach),)
     ways = np.array([(route.lock_in_rate, max(route.lock_in_rate_u, 1e-300) ** -2) for route in routes])
     routes_chi = float(ways[:, 1] @ (ways[:, 0] - np.average(ways[:, 0], weights=ways[:, 1])) ** 2)
@@ -272,15 +274,11 @@ _BESIDE |= {"phase_between_senses": BETWEEN}
 
 def beams_data(points: Points, swings: BeamModulation, known: BeamsKnowledge, bench: BenchKnowledge) -> LaserData:
     """The points with the beams of their records, and what is known of everything beforehand."""
-    records = points.records
     swing, weight, over = _swings(points, swings)
     if not weight.any():
         raise NoFit("no record with a single beam that could be used")
-    some, rate_weight = points.points, np.zeros(len(weight))
-    by_azimuth, beat_u = rates_and_beats_u(points)
-    if not records.records.rate_of_beat:
-        own = TABLE_RATE_LIMIT / _RECTANGLE if math.isnan(known.rate_u) else known.rate_u
-        rate_weight = 1 / np.hypot(by_azimuth, own * np.abs(some.rate))
+    some = points.points
+    rate_weight, beat_u = rates_weight(points, known.rate_u)
     mean, sd = _beforehand(some, over, known, bench)
     if swings.flags & BeamsFlag.NO_LEVEL:
         sd[LEVEL] = _NO_LEVEL_U
@@ -292,26 +290,30 @@ def beams_data(points: Points, swings: BeamModulation, known: BeamsKnowledge, be
 
 def _swings(points: Points, modulation: BeamModulation) -> tuple[Complexes, Floats, Floats]:
     """Mean modulation of the records of each point, the reciprocal of its u, and beat over level, (P, 2)."""
-    records, places = points.records, points.places
+    records = points.records
 
-    def line_of(numbers: Complexes | Floats, beam: int) -> tuple[Complexes, Complexes, Floats]:
+    def curve_of(numbers: Complexes | Floats, beam: int) -> tuple[Complexes, Floats, int]:
         weights = np.nan_to_num(modulation.modulation_u[:, beam] ** -2.0)
         values = np.nan_to_num(numbers[:, beam].astype(np.complex128))
-        return points.lines((data, weights[rows], values[rows]) for rows, data, _ in records.data())
+        return points.curves((data, weights[rows], values[rows]) for rows, data, _ in records.data())
 
-    lines = [line_of(modulation.modulation, beam) for beam in range(2)]
-    mean, slope, total = (np.stack(each) for each in zip(*lines, strict=True))
-    over = np.stack([line_of(modulation.beat_over_level, beam)[0].real for beam in range(2)], axis=1)
-    # records of one setting that scatter by more than their noise, about a line in time: phases may turn
-    spread, freedom = 0.0, -2 * int(np.count_nonzero(total) + np.count_nonzero(slope))
+    curves = [curve_of(modulation.modulation, beam) for beam in range(2)]
+    total = np.stack([weights for _, weights, _ in curves])
+    # records of one setting that scatter by more than their noise, about a curve in time: phases may turn
+    spread, freedom = 0.0, -2 * sum(fitted for *_, fitted in curves)
     for rows, data, _ in records.data():
-        some, place = modulation.take(rows), places[data]
-        line = mean[:, place] + slope[:, place] * (data.when - points.points.when[place])
-        left = np.abs(some.modulation - line.T) / some.modulation_u
+        some = modulation.take(rows)
+        seen = np.stack([points.along(curve, data) for curve, *_ in curves], axis=-1)
+        left = np.abs(some.modulation - seen) / some.modulation_u
         spread, freedom = spread + float(np.nansum(left**2)), freedom + 2 * int(np.isfinite(left).sum())
     unlikely = freedom > 0 and float(scipy.special.chdtrc(freedom, spread)) < UNLIKELY
     weight = np.sqrt(total) / (math.sqrt(spread / freedom) if unlikely else 1.0)
-    return np.asarray(mean.T), weight.T, over
+    # a mean over the times of all records: that of a square is 1
+    over, mean = (
+        np.stack([curve[:, 0] + curve[:, 2] for curve, *_ in some], axis=-1)
+        for some in ([curve_of(modulation.beat_over_level, beam) for beam in range(2)], curves)
+    )
+    return mean, weight.T, np.asarray(over.real)
 
 
 def _beforehand(
@@ -334,11 +336,11 @@ def _beforehand(
     return mean, sd
 
 
-def _looked(model: LaserModel) -> list[tuple[Floats, float]]:
+def _looked(data: LaserData) -> list[tuple[Floats, float]]:
     """Where some steps from each start lead, and chi-square there, the best first."""
     # with noise that becomes less what is known beforehand leads past narrow valleys
-    ended = list[tuple[Floats, float]]()
-    for start in _starts(model.data):
+    model, ended = LaserModel(data), list[tuple[Floats, float]]()
+    for start in _starts(data):
         end: tuple[Floats, float] | None = start, 0.0
         for model.softer in _SOFTER:
             end = end and search(model, end[0], _TRIES)
@@ -411,18 +413,26 @@ def _routes(fit: RatesFit, data: LaserData, best: LaserFit) -> tuple[Route, ...]
         return tuple(routes)
     # freed of what the difference of the beams does, by the laser of all
     some, push = data.points.points, best.push()
-    frequency, rate_u = some.angular / (2 * np.pi), 1 / data.rate_weight
-    freed, freed_u = frequency / (1 + push), np.hypot(data.beat_u, _FREED_U * np.abs(push) * frequency)
+    frequency, given = some.angular / (2 * np.pi), data.points.records.records.scale_factor
+    freed, per_rate = frequency / (1 + push), given * np.abs(some.rate) / some.beat_rate
+    freed_u = np.hypot(per_rate / data.rate_weight, _FREED_U * np.abs(push) * frequency)
     # one sense tells no constant of the rates from the lock-in rate
     both, most = np.unique(np.sign(some.rate)).size == 2, MOST_BIAS
     with suppress(NoFit):
         tried = [
-            fit_frequencies(some.rate + constant, freed, freed_u, input_rate_u=rate_u, bias=both)
+            fit_frequencies(some.rate + constant, freed, freed_u, bias=both)
             for constant in ([0.0] if both else [0.0, -most, most])
         ]
-        value = tried[0].lock_in_rate
-        u = math.hypot(tried[0].lock_in_rate_u, *((one.lock_in_rate - value) / math.sqrt(6) for one in tried))
-        low, high = min(one.lock_in_rate_low_95 for one in tried), max(one.lock_in_rate_high_95 for one in tried)
+        # for the scale factor as given: what rates have in common goes into the one that they show
+        by = [one.scale_factor / given for one in tried]
+        values = [share * one.lock_in_rate for share, one in zip(by, tried, strict=True)]
+        way = values[0] * np.array([0.5 / tried[0].lock_in_square, 0.0, 1 / tried[0].scale_factor])
+        own_u = math.sqrt(float(way @ tried[0].covariance @ way))
+        value, u = values[0], math.hypot(own_u, *((one - values[0]) / math.sqrt(6) for one in values))
+        low, high = (
+            by[0] * min(one.lock_in_rate_low_95 for one in tried),
+            by[0] * max(one.lock_in_rate_high_95 for one in tried),
+        )
         if math.isfinite(u):
             routes.append(Route("frequencies", value, u, low, high))
     return tuple(routes)

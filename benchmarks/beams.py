@@ -214,7 +214,7 @@ def outcome(rates: tuple[float, ...], seed: int, *, everything: bool = True) -> 
         scale, earth = rng.uniform(-1, 1, 2) * (math.hypot(SCALE_FACTOR_LIMIT, TABLE_RATE_LIMIT), EARTH)
         stated = (axis - earth) / (1 + scale) if everything else axis
         alone = fit_rates(estimates, input_rate=np.repeat(stated, RECORDS), reference="beat", in_order=True)
-        fit = fit_beams(alone, whole, BeamsKnowledge(level_u=LEVEL_U, ac_corner_hz=AC_HZ, rate_u=20e-6))
+        fit = fit_beams(alone, whole, BeamsKnowledge(level_u=LEVEL_U, ac_corner_hz=AC_HZ))
     except NoFit:
         return None
     return Outcome(

@@ -8,7 +8,7 @@ data, and whatever may spoil it as its unknowns, each with a bound. `analysis.si
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import product
@@ -274,6 +274,9 @@ _HOPELESS, _GOOD = 100.0, 2.0  # chi-square over the values: no laser is near; m
 _SETTLED, _ROUGHLY = 1e-9, 1e-4  # a step that changes chi-square (or parameters: 1e-9) by less was the last one
 _TRIED, _FAR = 15, 30.0  # steps after which a place that is still so far above a good laser is left
 _SMALL = 1e-6  # step of a parameter of which nothing is known
+LEAST_U = 1e-6  # of a rate: no table turns more steadily from one to the next, whatever its display says
+_STATED, _ROUNDS = 4.0, 3  # degrees of freedom of uncertainties that were stated
+_OFF, _UNKNOWN = 10.0, 1e-3  # rates that fit worse may be off by that share
 _SHOWN = 0.05  # u of a turn over that beforehand, where records show it
 _TURNED = np.array([-1.5, -0.5, 0.5, 1.5])  # of the same, turns from which a search begins where they do not
 
@@ -520,13 +523,40 @@ def of_bells(values: Floats, us: Floats, weights: Floats) -> tuple[float, float,
 _INTERVAL, _TAILS, _STEPS = (0.025, 0.975), 6.0, 4001
 
 
-def rates_and_beats_u(points: Points) -> tuple[Floats, Floats]:
-    """Standard uncertainties of the rate (deg/s) and of the mean beat (Hz) of each point, (P,) each."""
-    rate_u, beats = np.zeros(len(points.places)), np.zeros((2, len(points.places)))
+def rates_weight(points: Points, own_u: float) -> tuple[Floats, Floats]:
+    """Reciprocal of the u of the rate of each point (deg/s), each off by itself by so much; u of its beat, Hz."""
+    records, rates = points.records.records, np.abs(points.points.rate)
+    rate_u, beats = np.zeros(rates.size), np.zeros((2, rates.size))
     for rows, block in points.records.blocks():
         np.maximum.at(rate_u, points.places[block], points.records.rate_u[rows])
         beats += points.places.sums(block, np.ones(block.rate.shape), block.beat_frequency_u**2)
-    return rate_u, np.sqrt(beats[1]) / beats[0]
+    beat_u = np.sqrt(beats[1]) / beats[0]
+    by_beat = points.points.beat_rate / rates * beat_u / records.scale_factor
+    u = np.linalg.norm([rate_u, by_beat, own_u * rates], axis=0)
+    return (not records.rate_of_beat) / u, beat_u
+
+
+def lasers_by_rates(
+    data: LaserData, look: Callable[[LaserData], list[LaserFit]], own_u: float = LEAST_U
+) -> list[LaserFit]:
+    """Lasers that data allow, each rate off by itself by as much as they show: at least by so much, relative."""
+    found = []
+    for own in (own_u, max(own_u, _UNKNOWN)):
+        # no laser follows rates that are wrong, or one that goes far for it: then they say little
+        data = replace(data, rate_weight=rates_weight(data.points, own)[0])
+        with suppress(NoFit):
+            found = look(data)
+            if found[0].rates_scale < _OFF:
+                break
+    if not found:
+        raise NoFit("no two-mode laser fits the records")
+    for _ in range(_ROUNDS):
+        scale = found[0].rates_scale
+        if scale <= 1:
+            break
+        data = replace(data, rate_weight=data.rate_weight / math.sqrt(scale))
+        found = solutions(LaserModel(data, found[0]), [(one.parameters, one.chi_square) for one in found])
+    return found
 
 
 # --------------------
@@ -536,15 +566,12 @@ def rates_and_beats_u(points: Points) -> tuple[Floats, Floats]:
 # the beat of each sense by its own share (docs/several_rates.md).
 
 
-LEAST_U = 1e-6  # of a rate: no table turns more steadily from one to the next, whatever its display says
 BACKSCATTER = np.array([[-math.radians(60.0), -math.log(2.5), 0.35], [math.radians(60.0), math.log(2.5), 0.65]])
 """Between which a laser usually is: sum of the phases, rad; logarithm of a2/a1; cross over self saturation."""
 
 _LOGARITHMS, _ANGLES = (0.15, 0.7), (-0.9, -0.3, 0.3, 0.9)  # from which a search begins; exchanged beams are alike
 _FIRST_LOOK, _LOOKED_AT, _OF_PART = 8, 3, 20  # evaluations of a first look, how many are followed; of a part
 _ALIKE = 0.02  # of logarithms, and rad: ends of two looks that are one
-_STATED, _ROUNDS = 4.0, 3  # degrees of freedom of uncertainties that were stated
-_OFF, _UNKNOWN = 10.0, 1e-3  # rates that fit worse may be off by that share
 _BROAD = 0.3  # u of ln(a2/a1) or of the angle over that beforehand, from which one bell would not do
 _PART, _APART = 0.6, 4.0  # of what is usual, that of a part; u between valleys that are not parts of one
 _ANGLE_PLACES = (-1.75, -1.05, -0.35, 0.35, 1.05, 1.75)
@@ -553,34 +580,16 @@ _PLACES = np.array([(m, n * way) for m, way in ((0.35, 1), (1.05, -1), (1.75, 1)
 
 def lasers_of_beat(points: Points, starts: Floats, known: Prior, bench: BenchKnowledge) -> list[LaserFit]:
     """Lasers that harmonics and rates allow, the likeliest first; begun from sets of equation (1) (B, 10)."""
-    records, some = points.records, points.points
-    mean, sd = beforehand(some, bench)
+    mean, sd = beforehand(points.points, bench)
     sd[LEVEL.start : DELAY.stop], sd[[CORNER, PEDESTAL]], sd[BETWEEN : DRIFT + 1] = 0.0, 0.0, known.sd[SENSES:]
     half = np.ptp(BACKSCATTER, axis=0) / 2 / _RECTANGLE
     sd[SATURATION] = half[2]
-    rate_u, beat_u = rates_and_beats_u(points)
-    rates, stated = np.abs(some.rate), not records.records.rate_of_beat
-    known_u = np.hypot(rate_u, some.beat_rate / rates * beat_u / records.records.scale_factor) / rates
-    weight = stated / (rates * np.hypot(known_u, LEAST_U))
+    weight, beat_u = rates_weight(points, LEAST_U)
     sd[SCALE], sd[BIAS] = 0.1 * weight.any(), sd[BIAS] * weight.any()  # anything that all rates have in common
-    usual, nothing = (half[1], half[0]), np.zeros((rates.size, 2))
+    usual, nothing = (half[1], half[0]), np.zeros((weight.size, 2))
     swing = nothing.astype(np.complex128)
-    data, found = LaserData(points, swing, nothing, nothing, weight, beat_u, mean, sd, 0.0, usual=usual), []
-    for own in (LEAST_U, _UNKNOWN):
-        # no laser follows rates that are wrong, or one that goes far for it: then they say little
-        data = replace(data, rate_weight=stated / (rates * np.hypot(known_u, own)))
-        with suppress(NoFit):
-            found = _looked(data, starts)
-            if found[0].rates_scale < _OFF:
-                break
-    if not found:
-        raise NoFit("no two-mode laser fits the records")
-    for _ in range(_ROUNDS):
-        scale = found[0].rates_scale
-        if scale < 1:
-            break
-        data = replace(data, rate_weight=data.rate_weight / math.sqrt(scale))
-        found = solutions(LaserModel(data, found[0]), [(one.parameters, one.chi_square) for one in found])
+    data = LaserData(points, swing, nothing, nothing, weight, beat_u, mean, sd, 0.0, usual=usual)
+    found = lasers_by_rates(data, lambda data: _looked(data, starts))
     best, sizes = found[0], np.array([one.coupling(1.0)[0] for one in found])
     apart = bool(np.any(np.abs(sizes[:, 0] - sizes[0, 0]) > _APART * sizes[:, 1].max()))
     if apart or not np.any(best.unequal_u > _BROAD * np.array(usual)):

@@ -472,7 +472,8 @@ class Places:
 
 
 _LASTS = 1e-4  # least standard deviation of places in the run whose third moment is told
-_AT_ONE_TIME = 1e-9  # of the scatter of places in the run about that of a point: rounding
+_AT_ONE_TIME = 1e-7  # no run has so many records: rounding
+CURVE = 3  # numbers of a parabola: what turns while records are taken leaves less beside it than their noise
 
 
 @dataclass(frozen=True)
@@ -495,53 +496,65 @@ class Points:
         return np.linalg.inv(whitening @ whitening.swapaxes(-1, -2))
 
     @property
+    def lasts(self) -> Floats:
+        """Standard deviation of the places in the run of the records of each point, (p,)."""
+        return np.asarray(np.sqrt(np.sum(self.beside_weights * self.beside**2, axis=0)))
+
+    @property
     def settings(self) -> int:
         """Different rates, senses and amplitudes among the points."""
         return int(np.unique(self.places.settings).size)
 
     def scatter(self, parameters: Floats, *, turning: bool = False) -> tuple[float, int]:
-        """Chi-square of the records about the mean of each point, or its line in time; degrees of freedom."""
+        """Chi-square of the records about the mean of each point, or its curve in time; degrees of freedom."""
         # What the model says of each record's own rate and amplitude is taken out first.
-        mean, mean_third = self._left_of_means(parameters)
-        chi_square, thirds_known = 0.0, np.zeros(len(self.places))
-        slope = np.zeros_like(mean)
-        if turning:
-            every = ((data, _weights(data), _left(parameters, data)[0]) for _, data, _ in self.records.data())
-            mean, slope, _ = self.lines(every)
+        order = CURVE if turning else 1
+
+        def every(part: int) -> Iterator[tuple[RatioData, Floats, Complexes]]:
+            for _, data, _ in self.records.data():
+                weights = (_weights(data), data.third_weight**2)[part]
+                yield data, weights, _left(parameters, data)[part].astype(np.complex128)
+
+        (mean, _, fitted), (third, _, thirds) = (self.curves(every(part), order) for part in range(2))
+        chi_square, values = 0.0, 2 * (int(self.records.used.sum()) - fitted) - thirds
         for _, data, _ in self.records.data():
             left, rest = _left(parameters, data)
-            place = self.places[data]
-            left -= slope[place] * (data.when - self.points.when[place])
-            of_ratio, of_third = in_standard_uncertainties(left - mean[place], rest - mean_third[place], data)
+            rest = rest - self.along(third, data).real
+            of_ratio, of_third = in_standard_uncertainties(left - self.along(mean, data), rest, data)
             chi_square += float(np.sum(of_ratio**2) + np.sum(of_third**2))
-            thirds_known += self.places.sums(data, np.sign(data.third_weight))[0]
-        free = 2 * (int(self.records.used.sum()) - len(self.places) - int(np.count_nonzero(slope)))
-        return chi_square, free + int(thirds_known.sum()) - int(np.count_nonzero(thirds_known))
+            values += int(np.count_nonzero(data.third_weight))
+        return chi_square, values
 
-    def lines(self, every: Iterable[tuple[RatioData, Floats, Complexes]]) -> tuple[Complexes, Complexes, Floats]:
-        """Of complex values of records, by their weights: value at the time of each point, slope, weight, (p,)."""
-        sums = np.zeros((7, len(self.places)))
+    def curves(
+        self, every: Iterable[tuple[RatioData, Floats, Complexes]], order: int = CURVE
+    ) -> tuple[Complexes, Floats, int]:
+        """Curves in time (p, order) of complex values of records, weights (p,), and how many numbers they are."""
+        columns, moments = range(order), 2 * order - 1
+        sums = np.zeros((moments + 2 * order + 1, len(self.places)))
         for data, weight, value in every:
-            apart = data.when - self.points.when[self.places[data]]
-            columns = (weight * one for one in (value.real, value.imag, apart * value.real, apart * value.imag))
-            sums += self.places.sums(data, weight, weight * apart, weight * apart**2, *columns)
-        total, first, second, value, along = *sums[:3], sums[3] + 1j * sums[4], sums[5] + 1j * sums[6]
-        determinant = total * second - first**2
-        lasts = determinant > _AT_ONE_TIME * total * second
-        known = np.where(lasts, determinant, 1.0)
-        slope = np.where(lasts, (total * along - first * value) / known, 0.0)
-        return (value - first * slope) / np.maximum(total, 1e-300), slope, total
+            times, there = self._times(data), (weight > 0).astype(np.float64)
+            parts = [weight * times**n * part for part in (value.real, value.imag) for n in columns]
+            sums += self.places.sums(data, *(weight * times**n for n in range(moments)), *parts, there)
+        # no more than there are records, or times
+        most = np.where(self.lasts > _AT_ONE_TIME, sums[-1], np.minimum(sums[-1], 1.0))
+        known = np.arange(order) < most[:, np.newaxis]
+        total = np.where(known[:, 0], sums[0], 1.0)[:, np.newaxis]
+        normal = sums[np.add.outer(columns, columns)].T / total[..., np.newaxis]
+        normal = np.where(known[:, np.newaxis] & known[..., np.newaxis], normal, np.eye(order))
+        real, imaginary = sums[moments:-1].reshape(2, order, -1)
+        aim = np.where(known, (real + 1j * imaginary).T / total, 0.0)
+        curve = np.asarray(np.linalg.solve(normal, aim[..., np.newaxis])[..., 0])
+        return curve, np.asarray(sums[0]), int(np.count_nonzero(known))
 
-    def _left_of_means(self, parameters: Floats) -> tuple[Complexes, Floats]:
-        """Mean of what the model leaves of the records of each point: of ratios and of third harmonics, (p,)."""
-        sums = np.zeros((5, len(self.places)))
-        for _, data, _ in self.records.data():
-            left, rest = _left(parameters, data)
-            weights, precision = _weights(data), data.third_weight**2
-            columns = weights, weights * left.real, weights * left.imag, precision, precision * rest
-            sums += self.places.sums(data, *columns)
-        total, real, imaginary, precision, third = sums
-        return np.asarray((real + 1j * imaginary) / total), third / np.maximum(precision, 1e-300)
+    def along(self, curves: Complexes, data: RatioData) -> Complexes:
+        """Values of such curves at the times of some records (m,)."""
+        powers = self._times(data)[:, np.newaxis] ** np.arange(curves.shape[-1])
+        return np.asarray(np.sum(curves[self.places[data]] * powers, axis=-1))
+
+    def _times(self, data: RatioData) -> Floats:
+        """Times of records beside the mean of their point, (m,), over the standard deviation of all of it."""
+        place = self.places[data]
+        return np.asarray((data.when - self.points.when[place]) / np.maximum(self.lasts[place], _AT_ONE_TIME))
 
 
 def gather(records: UsedRecords) -> Points:

@@ -342,15 +342,13 @@ def beams_corner_hz(settings: Settings) -> float:
 
 
 def beams_knowledge(settings: Settings) -> BeamsKnowledge:
-    """Collect what the settings say of the beams' channels, and of the rates beside them."""
+    """Collect what the settings say of the beams' channels, and of the dead band."""
     stated = settings.beams
-    table_u = 1e-6 * settings.budget.table_rate_u_ppm if settings.budget is not None else 0.0
     return BeamsKnowledge(
         level_u=0.01 * stated.level_u_percent or math.nan,
         crosstalk_limit=_amplitude(stated.crosstalk_limit_db),
         ac_corner_hz=beams_corner_hz(settings),
         bandwidth_hz=stated.bandwidth_hz or math.nan,
-        rate_u=table_u or math.nan,
         dead_band=stated.dead_band_dps or math.nan,
         dead_band_u=stated.dead_band_u_dps or _DEAD_BAND_U * stated.dead_band_dps,
     )

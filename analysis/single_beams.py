@@ -346,6 +346,9 @@ def _looked(data: LaserData) -> list[tuple[Floats, float]]:
             end = end and search(model, end[0], _TRIES)
         model.softer = 1.0
         if end is not None:
+            # a whole turn between the senses is half a one of both
+            turns = np.round(end[0][BETWEEN] / (2 * np.pi))
+            end[0][[BETWEEN, 1, 3]] += np.pi * turns * np.array([-2, 1, 1])
             residual = model.residual(end[0][np.newaxis])[0]
             ended.append((end[0], float(residual @ residual)))
     return sorted(ended, key=lambda one: one[1])

@@ -171,6 +171,7 @@ def outcome(plan: Plan, drift: float, fault: Fault | None, seed: int) -> Outcome
     between, turns = drift * PHASE_CHANGE_LIMIT * rng.uniform(-1, 1, 2) + (0, _either(rng, fault.turns))
     between = between if fault.between is None else _either(rng, fault.between)
     grows = drift * LOCK_IN_DRIFT_LIMIT * rng.uniform(-1, 1) + _either(rng, fault.grows)
+    bends = drift * PHASE_CHANGE_LIMIT * float(np.random.default_rng((seed, 1)).uniform(-1, 1))
     start, readout = rng.uniform(0, 2 * np.pi, 2)
     angle, logarithm, saturation = rng.uniform(*BACKSCATTER)
     receiver = Detector(start, second_order=2 * second, third_order=4 * third)
@@ -199,7 +200,12 @@ def outcome(plan: Plan, drift: float, fault: Fault | None, seed: int) -> Outcome
             factor = float(winking.frequency_factor(np.array([rate]))[0])
             beat = true_k * math.sqrt(rate**2 - then**2) * factor
             level = LEVEL * abs(channel(np.array([beat]))[0])  # what is weaker behind the channel is shown larger
-            phase = readout + between * math.copysign(0.5, rate) + turns * when[row]
+            phase = (
+                readout
+                + between * math.copysign(0.5, rate)
+                + turns * when[row]
+                + bends * (6 * when[row] ** 2 - 0.5)
+            )
             gyro = Gyro(true_k, then, phase, 0.0, 0.0, winking=winking)
             turned = np.asarray(rng.uniform() + beat * times)
             seen = _signal(gyro, receiver, fifth, channel, rate, turned, beat)

@@ -390,6 +390,7 @@ _HARDLY = 0.7  # share of its uncertainty beforehand that the gain time has left
 _MAYBE = 1.0  # standard uncertainties beyond which a drift of the lock-in rate may be there
 _DRIFTS = 0.05  # drifts over a run, rad or relative, up to which the means of the visits lose nothing
 _SHOWN = 0.3  # share of its uncertainty beforehand that a drift has left where the records show it
+_ENOUGH = 0.3  # share of its degrees of freedom that a test about curves must have left
 
 
 def _with_table_noise(points: Points, found: RatioFit, prior: Prior, most: float) -> tuple[Points, RatioFit]:
@@ -523,8 +524,12 @@ def _test(
     if lasers:  # what equation (1) takes for drifts may be another kind of backscatter
         steady[0, SENSES:], us[SENSES:] = lasers[0].drifts
     steady[0, SENSES + 1 :] *= np.abs(steady[0, SENSES + 1 :]) > SIGNIFICANT * us[SENSES + 1 :]
-    scatter, scatter_degrees = points.scatter(steady)
-    tests = [(chi_square, degrees), (scatter, scatter_degrees)]
+    scatter = points.scatter(steady)
+    if scatter[1] > 0 and float(scipy.special.chdtrc(scatter[1], scatter[0])) < UNLIKELY:
+        # what (1) leaves out turns with the phases too: it follows a curve, noise does not
+        curved = points.scatter(steady, turning=True)
+        scatter = curved if curved[1] > _ENOUGH * scatter[1] else scatter
+    tests = [(chi_square, degrees), scatter]
     chances = [float(scipy.special.chdtrc(n, value)) if n > 0 else float("nan") for value, n in tests]
     widen, freedom = 1.0, 0
     for (value, n), chance in zip(tests, chances, strict=True):

@@ -107,6 +107,7 @@ def beforehand(some: RatioData, bench: BenchKnowledge) -> tuple[Floats, Floats]:
 
 
 _FAILED = 1e6  # in standard uncertainties, where there is no solution
+_PASSES = 3  # by which the light in front of a receiver is found from what leaves it
 _DETOUR = (0.3, 0.6, 0.8, 0.9, 1.0)  # of the backscatter, on the way to all of it
 
 
@@ -220,19 +221,18 @@ class LaserModel:
     def _lines(self, parameters: Floats, readout: Floats, light: _Light) -> Complexes:
         """Harmonics (B P, n // 2) of the beat behind its receiver, over its amplitude."""
         some, column, back = self.data.points.points, parameters[:, np.newaxis], light.of_set
+        parts = (PEDESTAL, DISTORTION, THIRD_ORDER)
+        pedestal, second, third = np.repeat(parameters[:, parts], some.rate.size, axis=0).T[..., np.newaxis]
         fringes = np.sqrt(light.beams.prod(axis=1))[back] * np.sin(light.psi[back] + readout)
-        pedestal = np.repeat(parameters[:, PEDESTAL], some.rate.size)[:, np.newaxis]
-        signal = fringes + pedestal * (light.beams.mean(axis=1) - 1)[back]
-        # how much light there is the records say, in `amplitude`: the laser gives the shape. That is of the whole
-        # series, whose fundamental is smaller by the square of its ratio
-        one, two = np.abs(np.einsum("bk,bmk->mb", signal, light.kernel[back, :2]))
-        signal *= ((1 - (two / one) ** 2) / one)[:, np.newaxis]
+        signal = fringes = fringes + pedestal * (light.beams.mean(axis=1) - 1)[back]
+        # How much light there is the records say, by the amplitude of the whole series behind the receiver (its
+        # fundamental is smaller by the square of its ratio): the laser gives the shape
         x = some.angular * column[..., LAG]
-        amplitude = some.amplitude * np.hypot(1.0, x)  # before the pole
-        curved = (column[..., DISTORTION] * amplitude).reshape(-1, 1)
-        cubic = column[..., THIRD_ORDER] * amplitude**2
-        cubic = (cubic / (1 - 3 * cubic)).reshape(-1, 1)
-        signal = (signal + 4 * cubic * signal**3) / (1 + 3 * cubic) + 2 * curved * signal**2
+        amplitude = (some.amplitude * np.hypot(1.0, x)).reshape(-1, 1)  # before the pole
+        for _ in range(_PASSES):
+            one, two = np.abs(np.einsum("bk,bmk->mb", signal, light.kernel[back, :2]))[..., np.newaxis]
+            fringes = fringes * amplitude * (1 - (two / one) ** 2) / one
+            signal = fringes + 2 * second * fringes**2 + 4 * third * fringes**3
         lines = np.einsum("bk,bmk->bm", signal, light.kernel[back])
         return np.asarray(lines / (1 + 1j * x.reshape(-1, 1) * np.arange(1, lines.shape[1] + 1)))
 

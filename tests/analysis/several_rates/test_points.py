@@ -33,12 +33,33 @@ def test_two_times_stand_for_all(gathered):
             assert told == pytest.approx(wanted, abs=1e-9)
 
 
-def test_a_line_in_time_is_found_where_there_are_two_times(gathered):
+def test_a_curve_in_time_is_found_where_there_are_times_for_it(gathered):
     points, place_of, data, weights = gathered
     other = weights[::-1]  # so that the means of these weights lie at other times
-    value = (0.3 - 0.2j) + (2.0 + 1.0j) * data.when
-    found, slope, total = points.lines([(data, other, value)])
-    several = np.bincount(place_of) > 1
-    assert slope[several] == pytest.approx(2.0 + 1.0j) and not slope[~several].any()
-    assert found == pytest.approx((0.3 - 0.2j) + (2.0 + 1.0j) * points.points.when)
+    value = (0.3 - 0.2j) + (2.0 + 1.0j) * data.when + (-0.7 + 3.0j) * data.when**2
+    curve, total, numbers = points.curves([(data, other, value)])
+    several = np.bincount(place_of) > 2
+    assert points.along(curve, data)[several[place_of]] == pytest.approx(value[several[place_of]])
     assert total == pytest.approx(np.bincount(place_of, other))
+    assert numbers == np.minimum(np.bincount(place_of), 3).sum() == np.count_nonzero(curve)
+    # the mean over the times of all records is that of two times
+    whole = np.sum(points.beside_weights * (points.points.when + points.beside) ** 2, axis=0)
+    mean = (0.3 - 0.2j) + (2.0 + 1.0j) * points.points.when + (-0.7 + 3.0j) * whole
+    assert several.any() and (curve[:, 0] + curve[:, 2])[several] == pytest.approx(mean[several], abs=0.01)
+
+
+@pytest.mark.parametrize("noise", [1.0, 2.0])
+@pytest.mark.parametrize("step", [0.0, 0.03])
+def test_what_turns_is_no_scatter(noise, step):
+    rng, rate, u = np.random.default_rng(7), np.repeat([3.0, 7.0, 11.0, 20.0, -7.0], 24), 3e-4
+    scattered = noise * u * (rng.standard_normal(rate.size) + 1j * rng.standard_normal(rate.size))
+    turning = np.exp(1j * step * np.arange(rate.size) * (1 + 0.01 * np.arange(rate.size)))
+    records = records_of_arrays(
+        rate, 0.1 * turning + scattered, u**2 * np.eye(2), 2000 * np.abs(rate), scale_factor=2000.0, in_order=True
+    )
+    points = gather(UsedRecords(records, np.ones(rate.size, dtype=bool), np.zeros(rate.size), "rate"))
+    steady = np.zeros((1, 10))
+    (found, degrees), (about_means, more) = points.scatter(steady, turning=True), points.scatter(steady)
+    assert 0 < degrees < more
+    assert found / degrees == pytest.approx(noise**2, abs=4 * noise**2 * np.sqrt(2 / degrees))
+    assert (about_means > 100 * more) == (step > 0)

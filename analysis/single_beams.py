@@ -205,7 +205,7 @@ def fit_beams(
         gathered = with_noise(gathered, (scatter / degrees - 1) * gathered.covariance)
     known = knowledge or BeamsKnowledge()
     data = beams_data(gathered, modulation, known, receiver or BenchKnowledge())
-    found = lasers_by_rates(data, lambda data: solutions(LaserModel(data), _looked(data)), known.rate_u)
+    found = lasers_by_rates(data, _solutions, known.rate_u)
     best, points = found[0], data.points.points
     degrees = data.degrees
     p_value = float(scipy.special.chdtrc(degrees, best.chi_square)) if degrees > 0 else math.nan
@@ -336,10 +336,10 @@ def _beforehand(
     return mean, sd
 
 
-def _looked(data: LaserData) -> list[tuple[Floats, float]]:
-    """Where some steps from each start lead, and chi-square there, the best first."""
+def _solutions(data: LaserData) -> list[LaserFit]:
+    """The minima that some data allow, the best first, begun where some steps from each start lead."""
     # with noise that becomes less what is known beforehand leads past narrow valleys
-    model, ended = LaserModel(data), list[tuple[Floats, float]]()
+    model, looked = LaserModel(data), list[tuple[Floats, float]]()
     for start in _starts(data):
         end: tuple[Floats, float] | None = start, 0.0
         for model.softer in _SOFTER:
@@ -350,8 +350,9 @@ def _looked(data: LaserData) -> list[tuple[Floats, float]]:
             turns = np.round(end[0][BETWEEN] / (2 * np.pi))
             end[0][[BETWEEN, 1, 3]] += np.pi * turns * np.array([-2, 1, 1])
             residual = model.residual(end[0][np.newaxis])[0]
-            ended.append((end[0], float(residual @ residual)))
-    return sorted(ended, key=lambda one: one[1])
+            looked.append((end[0], float(residual @ residual)))
+    # close to lock-in no solution is found but from those of the last search
+    return solutions(model, sorted(looked, key=lambda one: one[1]))
 
 
 def _starts(data: LaserData) -> list[Floats]:

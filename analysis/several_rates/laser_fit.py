@@ -191,7 +191,7 @@ class LaserModel:
     def _seen(self, parameters: Floats, readout: Floats, light: _Light) -> tuple[Complexes, Floats, Complexes]:
         """Ratio and third harmonic (B P,), and swing of the beams (B P, 2) in front of their receivers."""
         lines = self._lines(parameters, readout.reshape(-1, 1), light)
-        w, value = nearest_series(lines, lines[:, 1] / lines[:, 0])
+        w, value = nearest_series(lines, np.conj(lines[:, 1] / lines[:, 0]))
         turn = np.abs(value) / value
         left = lines[:, 2] - (1 - np.abs(w) ** 2) * value * np.conj(w) ** 2
         third = (left * turn**3).real / np.abs(value)
@@ -225,15 +225,18 @@ class LaserModel:
         pedestal, second, third = np.repeat(parameters[:, parts], some.rate.size, axis=0).T[..., np.newaxis]
         fringes = np.sqrt(light.beams.prod(axis=1))[back] * np.sin(light.psi[back] + readout)
         signal = fringes = fringes + pedestal * (light.beams.mean(axis=1) - 1)[back]
-        # How much light there is the records say, by the amplitude of the whole series behind the receiver (its
-        # fundamental is smaller by the square of its ratio): the laser gives the shape
+        # How much light there is the records say, by the amplitude of the series nearest to what leaves the
+        # receiver: the laser gives the shape
         x = some.angular * column[..., LAG]
         amplitude = (some.amplitude * np.hypot(1.0, x)).reshape(-1, 1)  # before the pole
+        kernel = light.kernel[back]
+        lines = np.einsum("bk,bmk->bm", signal, kernel)
+        w = np.conj(lines[:, 1] / lines[:, 0])
         for _ in range(_PASSES):
-            one, two = np.abs(np.einsum("bk,bmk->mb", signal, light.kernel[back, :2]))[..., np.newaxis]
-            fringes = fringes * amplitude * (1 - (two / one) ** 2) / one
-            signal = fringes + 2 * second * fringes**2 + 4 * third * fringes**3
-        lines = np.einsum("bk,bmk->bm", signal, light.kernel[back])
+            w, value = nearest_series(lines, w, 1)
+            fringes = fringes * amplitude / np.abs(value)[:, np.newaxis]
+            signal = fringes * (1 + fringes * (2 * second + 4 * third * fringes))
+            lines = np.einsum("bk,bmk->bm", signal, kernel)
         return np.asarray(lines / (1 + 1j * x.reshape(-1, 1) * np.arange(1, lines.shape[1] + 1)))
 
 

@@ -222,10 +222,10 @@ def beyond_first_order(parameters: Floats, data: RatioData) -> tuple[Complexes, 
     return np.where(possible, ratio, 0.0), np.where(possible, rest, 0.0)
 
 
-def nearest_series(lines: Complexes, start: Complexes) -> tuple[Complexes, Complexes]:
+def nearest_series(lines: Complexes, start: Complexes, rounds: int = 9) -> tuple[Complexes, Complexes]:
     """Ratio w of the geometric series nearest to lines (..., L), from a start, and the sum of d_n w^(n-1)."""
     w, rest = start, 1 - np.abs(start) ** 2
-    for _ in range(_ROUNDS):
+    for _ in range(rounds):
         value, slope = _polynomial(lines, w)
         w = w + rest * (np.conj(slope * (1 - np.abs(w) ** 2) / value) - w)
     return w, _polynomial(lines, w)[0]
@@ -233,7 +233,7 @@ def nearest_series(lines: Complexes, start: Complexes) -> tuple[Complexes, Compl
 
 _SMALLEST, _LARGEST = 1e-8, 0.95  # ratios between which a cubic law is worked out
 
-_PHASES, _ROUNDS = 512, 9
+_PHASES = 512
 
 
 def _distorted(

@@ -85,7 +85,15 @@ def laser(
 
 
 def measured(
-    bench: Bench, rates=BOTH, *, seed=1, level_error=(0.006, -0.008), beams=(1, 2), count=3, constant=0.0, scale=1.0
+    bench: Bench,
+    rates=BOTH,
+    *,
+    seed=1,
+    level_error=(0.006, -0.008),
+    beams=(1, 2),
+    count=3,
+    constant=0.0,
+    scale=1.0,
 ):
     """The fit of the beat alone, and the modulation of the beams, of some records at each rate."""
     rng, estimates, parts, axis = np.random.default_rng(seed), [], [], []
@@ -410,7 +418,7 @@ def test_a_turn_hides_no_other_laser(seed):
         rng.uniform(-3, 3),
         rng.uniform(0.2, 1.8),
         rng.uniform(-0.004, 0.004),
-        tuple(rng.uniform(-0.006, 0.006, 2)),
+        crosstalk=tuple(rng.uniform(-0.006, 0.006, 2)),
         noise=1.5,
     )
     levels = tuple(rng.normal(size=2) * 0.01)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from instrument.scpi import NO_DATA
-from instrument.simulated.commands.tree import Action, Order, Query, answer, no_argument, one_argument
+from instrument.simulated.commands.tree import Action, Query, answer, one_argument, plain
 from instrument.simulated.front_end.traces import clipping_event, measure, phase, unit
 from instrument.simulated.panel.events import Guess, Refusal
 from instrument.simulated.panel.models import Model
@@ -304,13 +304,9 @@ def _constant(header: str, text: str) -> Action:
     return Action(answer(header, lambda state: text))
 
 
-def _printer_defaults() -> Order:
-    def order(state: ScopeState, arguments: tuple[Argument, ...]) -> None:
-        no_argument(arguments)
-        for row in state.rows_below("PICTBridge"):
-            state.panel.values[row.header.upper()] = row.default
-
-    return order
+def _printer_defaults(state: ScopeState) -> None:
+    for row in state.rows_below("PICTBridge"):
+        state.panel.values[row.header.upper()] = row.default
 
 
 def actions(model: Model) -> Mapping[str, Action]:
@@ -328,7 +324,7 @@ def actions(model: Model) -> Mapping[str, Action]:
         leaves = ("HDELTa", "VDELTa", "HPOS1", "HPOS2", *(("SLOPE",) if model.has_power_key else ()))
         table |= {f"CURSor:VBArs:{leaf}": Action(_bar_answer(leaf)) for leaf in leaves}
     if model.series in ("B", "C"):
-        table["PICTBridge:DEF"] = Action(order=_printer_defaults())
+        table["PICTBridge:DEF"] = Action(order=plain(_printer_defaults))
     if model.series == "TPS":
         battery = {"GASgauge": str(_CHARGE), "STATUS": "FULLYCHARGED"}
         table |= {

@@ -10,7 +10,7 @@ from datetime import datetime, timedelta
 from instrument.errors import FileFormatError, TransferError
 from instrument.simulated.commands import waveform as reference_commands
 from instrument.simulated.commands.setup_status import recall_setup, save, setup_file
-from instrument.simulated.commands.tree import Action, Order, answer, no_argument, one_argument, one_string
+from instrument.simulated.commands.tree import Action, Order, answer, one_argument, one_string, plain
 from instrument.simulated.front_end.traces import Trace
 from instrument.simulated.panel.events import Guess, Refusal
 from instrument.simulated.panel.parsing import Argument, Leaf, quoted
@@ -50,11 +50,6 @@ def _rename(state: ScopeState, arguments: tuple[Argument, ...]) -> None:
     if len(arguments) != 2:
         raise Refusal(Guess.SURPLUS_ARGUMENT if len(arguments) > 2 else Guess.MISSING_ARGUMENT)
     state.storage.rename(*(one_string((argument,)) for argument in arguments))
-
-
-def _format(state: ScopeState, arguments: tuple[Argument, ...]) -> None:
-    no_argument(arguments)
-    state.storage.format()
 
 
 def _file_system(state: ScopeState) -> list[Leaf]:
@@ -133,7 +128,7 @@ ACTIONS = {
     "FILESystem:DIR": Action(
         answer("FILESystem:DIR", lambda state: ",".join(map(quoted, state.storage.listing())) or quoted(""))
     ),
-    "FILESystem:FORMat": Action(order=_format),
+    "FILESystem:FORMat": Action(order=plain(lambda state: state.storage.format())),
     "FILESystem:FREESpace": Action(answer("FILESystem:FREESpace", lambda state: str(state.storage.free))),
     "FILESystem:MKDir": Action(order=_on_one_name(lambda storage, name: storage.make_folder(name))),
     "FILESystem:REName": Action(order=_rename),

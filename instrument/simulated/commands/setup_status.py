@@ -9,7 +9,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from instrument.scpi import DIVISIONS, LEVELS_PER_DIVISION
-from instrument.simulated.commands.tree import Action, answer, no_argument, one_argument, one_number
+from instrument.simulated.commands.tree import Action, Order, answer, no_argument, one_argument, one_number, plain
 from instrument.simulated.panel.events import Guess, Refusal
 from instrument.simulated.panel.parsing import Argument, Leaf, Mnemonics, block, join_leaves, quoted
 from instrument.simulated.panel.settings import Words, time_steps
@@ -218,36 +218,25 @@ def tek_identity(identity: str) -> str:
     return f"ID TEK/{model},{rest.replace(' ', ',', 1)}"
 
 
-def _set_esr_mask(state: ScopeState, arguments: tuple[Argument, ...]) -> None:
-    state.status.esr_mask = one_number(arguments, 0, 255, _OUT_OF_RANGE)
+def _set_mask(name: str, kept: int = 255) -> Order:
+    def order(state: ScopeState, arguments: tuple[Argument, ...]) -> None:
+        setattr(state.status, name, one_number(arguments, 0, 255, _OUT_OF_RANGE) & kept)
 
-
-def _set_service_mask(state: ScopeState, arguments: tuple[Argument, ...]) -> None:
-    state.status.service_mask = one_number(arguments, 0, 255, _OUT_OF_RANGE) & ~64
-
-
-def _set_device_mask(state: ScopeState, arguments: tuple[Argument, ...]) -> None:
-    state.status.device_mask = one_number(arguments, 0, 255, _OUT_OF_RANGE)
+    return order
 
 
 def _set_power_on_clear(state: ScopeState, arguments: tuple[Argument, ...]) -> None:
     state.status.clear_masks_at_power_on = one_number(arguments, -32767, 32767, _OUT_OF_RANGE) != 0
 
 
-def _clear_status(state: ScopeState, arguments: tuple[Argument, ...]) -> None:
-    no_argument(arguments)
+def _clear_status(state: ScopeState) -> None:
     state.status.clear()
     state.completion_wanted = False
 
 
-def _report_completion(state: ScopeState, arguments: tuple[Argument, ...]) -> None:
-    no_argument(arguments)
+def _report_completion(state: ScopeState) -> None:
     state.completion_wanted = True
     state.settle()
-
-
-def _no_status(state: ScopeState, arguments: tuple[Argument, ...]) -> None:
-    no_argument(arguments)
 
 
 def _unlock(state: ScopeState, arguments: tuple[Argument, ...]) -> None:
@@ -261,29 +250,19 @@ def _event_with_text(state: ScopeState) -> str:
     return f"{code},{quoted(text)}"
 
 
-def _factory(state: ScopeState, arguments: tuple[Argument, ...]) -> None:
-    no_argument(arguments)
-    state.factory()
-
-
-def _reset(state: ScopeState, arguments: tuple[Argument, ...]) -> None:
-    no_argument(arguments)
-    state.reset()
-
-
 STATUS_ACTIONS = {
     "*IDN": Action(answer("", lambda state: state.identity), ends_message=True),
     "ID": Action(answer("", lambda state: tek_identity(state.identity)), ends_message=True),
-    "*RST": Action(order=_reset),
-    "FACtory": Action(order=_factory),
-    "*CLS": Action(order=_clear_status),
+    "*RST": Action(order=plain(ScopeState.reset)),
+    "FACtory": Action(order=plain(ScopeState.factory)),
+    "*CLS": Action(order=plain(_clear_status)),
     "*ESR": Action(answer("", lambda state: str(state.status.read_esr()))),
-    "*ESE": Action(answer("", lambda state: str(state.status.esr_mask)), _set_esr_mask),
-    "*SRE": Action(answer("", lambda state: str(state.status.service_mask)), _set_service_mask),
+    "*ESE": Action(answer("", lambda state: str(state.status.esr_mask)), _set_mask("esr_mask")),
+    "*SRE": Action(answer("", lambda state: str(state.status.service_mask)), _set_mask("service_mask", ~64)),
     "*PSC": Action(answer("", lambda state: str(int(state.status.clear_masks_at_power_on))), _set_power_on_clear),
     "*STB": Action(answer("", lambda state: str(state.status_byte()))),
     "*TST": Action(answer("", lambda state: "0")),
-    "DESE": Action(answer("DESE", lambda state: str(state.status.device_mask)), _set_device_mask),
+    "DESE": Action(answer("DESE", lambda state: str(state.status.device_mask)), _set_mask("device_mask")),
     "EVENT": Action(answer("EVENT", lambda state: str(state.status.next_event()[0]))),
     "EVMsg": Action(answer("EVMsg", _event_with_text)),
     "ALLEv": Action(
@@ -293,8 +272,8 @@ STATUS_ACTIONS = {
     ),
     "EVQty": Action(answer("EVQty", lambda state: str(state.status.count()))),
     "BUSY": Action(answer("BUSY", lambda state: str(int(state.busy())))),
-    "*OPC": Action(answer("", lambda state: "1"), _report_completion, waits=lambda state: state.busy()),
-    "*WAI": Action(order=_no_status, waits=lambda state: state.busy()),
+    "*OPC": Action(answer("", lambda state: "1"), plain(_report_completion), waits=lambda state: state.busy()),
+    "*WAI": Action(order=plain(lambda state: None), waits=lambda state: state.busy()),
     "UNLock": Action(order=_unlock),
     "REM": Action(order=_nothing),
 }

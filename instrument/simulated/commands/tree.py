@@ -99,6 +99,16 @@ def no_argument(arguments: tuple[Argument, ...]) -> None:
         raise Refusal(Guess.SURPLUS_ARGUMENT)
 
 
+def plain(do: Callable[[ScopeState], object]) -> Order:
+    """An order without an argument."""
+
+    def order(state: ScopeState, arguments: tuple[Argument, ...]) -> None:
+        no_argument(arguments)
+        do(state)
+
+    return order
+
+
 def one_argument(arguments: tuple[Argument, ...]) -> Argument:
     """The only argument; refuse none and several."""
     if not arguments:

@@ -169,7 +169,7 @@ def nearest_series(samples, circle):
 
 
 def distorted(own, third_order, slowness=0.0, second_order=0.0, lag=0.0):
-    """Ratio, third harmonic and amplitude behind a curved law of the beat with rho0 = `own` for fast gain, and a pole.
+    """Ratio, third harmonic and amplitude of a beat of rho0 = `own` for fast gain, behind a curved law and a pole.
 
     `slowness` is 2 pi f T: the light I of both beams is 1/(M psi'), M being 1/psi' behind one pole; `lag` that of
     the channel.

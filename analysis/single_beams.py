@@ -277,9 +277,8 @@ def beams_data(points: Points, swings: BeamModulation, known: BeamsKnowledge, be
     swing, weight, over = _swings(points, swings)
     if not weight.any():
         raise NoFit("no record with a single beam that could be used")
-    some = points.points
     rate_weight, beat_u = rates_weight(points, known.rate_u)
-    mean, sd = _beforehand(some, over, known, bench)
+    mean, sd = _beforehand(points.points, over, known, bench)
     if swings.flags & BeamsFlag.NO_LEVEL:
         sd[LEVEL] = _NO_LEVEL_U
     for part in (LEVEL, CROSSTALK, OTHER_BEAM, DELAY):
@@ -290,18 +289,17 @@ def beams_data(points: Points, swings: BeamModulation, known: BeamsKnowledge, be
 
 def _swings(points: Points, modulation: BeamModulation) -> tuple[Complexes, Floats, Floats]:
     """Mean modulation of the records of each point, the reciprocal of its u, and beat over level, (P, 2)."""
-    records = points.records
 
     def curve_of(numbers: Complexes | Floats, beam: int) -> tuple[Complexes, Floats, int]:
         weights = np.nan_to_num(modulation.modulation_u[:, beam] ** -2.0)
         values = np.nan_to_num(numbers[:, beam].astype(np.complex128))
-        return points.curves((data, weights[rows], values[rows]) for rows, data, _ in records.data())
+        return points.curves((data, weights[rows], values[rows]) for rows, data, _ in points.records.data())
 
     curves = [curve_of(modulation.modulation, beam) for beam in range(2)]
     total = np.stack([weights for _, weights, _ in curves])
     # records of one setting that scatter by more than their noise, about a curve in time: phases may turn
     spread, freedom = 0.0, -2 * sum(fitted for *_, fitted in curves)
-    for rows, data, _ in records.data():
+    for rows, data, _ in points.records.data():
         some = modulation.take(rows)
         seen = np.stack([points.along(curve, data) for curve, *_ in curves], axis=-1)
         left = np.abs(some.modulation - seen) / some.modulation_u

@@ -212,7 +212,13 @@ class StudyTable:
     def texts(self) -> list[list[str]]:
         """Return the rows that a terminal shows as text."""
         rows = [self.rows[place] for place in self.shown] or self.rows
-        return [[_text(cell, form) for cell, form in zip(row, self.formats, strict=True)] for row in rows]
+        return [
+            [
+                cell if isinstance(cell, str) else "" if math.isnan(cell) else format(cell, form)
+                for cell, form in each
+            ]
+            for each in (zip(row, self.formats, strict=True) for row in rows)
+        ]
 
     def as_csv(self) -> str:
         """Return all rows, numbers with all their digits."""
@@ -331,12 +337,6 @@ def _experiment_table(experiment: ExperimentCauses) -> StudyTable:
     title = "The 6.8 % of the paper's experiment: each cause alone, rms, at several rates (WL = 0.01 deg/s)"
     columns = ("cause", *rates, f"largest at {experiment.over_lock_in[-1]:g} WL, %")
     return StudyTable("experiment", title, columns, ("s", *[".2f"] * (len(rates) + 1)), rows)
-
-
-def _text(cell: float | str, form: str) -> str:
-    if isinstance(cell, str):
-        return cell
-    return "" if math.isnan(cell) else format(cell, form)
 
 
 # --------------------

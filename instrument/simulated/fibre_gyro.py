@@ -18,7 +18,7 @@ from typing import Literal, Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
-from instrument.fibre_gyro.frame_fields import COUNTER, FIXED, PARITY, STATUS, UNUSED, Field, FieldQuantity
+from instrument.fibre_gyro.frame_fields import COUNTER, FIXED, PARITY, STATUS, UNUSED, Field
 from instrument.fibre_gyro.frame_format import FrameFormat, Message, compose
 from instrument.simulated.links.stream_server import Port, StreamServer
 
@@ -252,17 +252,14 @@ def _in_turn(entry: Field, phase: int, values: Mapping[str, float]) -> int:
     """What a field holds whose quantities take turns."""
     for quantity in entry.quantities:
         if phase in quantity.phases:
-            whole = _quantity(quantity, entry.size, values)
+            good = quantity.status.value if quantity.status is not None else quantity.offset
+            number = (values.get(quantity.name, good) - quantity.offset) / quantity.scale
+            if quantity.kind == "float":
+                whole = int.from_bytes(struct.pack("<f", number), "little")
+            else:
+                whole = round(number) & ((1 << 8 * entry.size * len(quantity.phases)) - 1)
             return whole >> (8 * entry.size * quantity.phases.index(phase)) & ((1 << 8 * entry.size) - 1)
     return 0
-
-
-def _quantity(quantity: FieldQuantity, size: int, values: Mapping[str, float]) -> int:
-    good = quantity.status.value if quantity.status is not None else quantity.offset
-    number = (values.get(quantity.name, good) - quantity.offset) / quantity.scale
-    if quantity.kind == "float":
-        return int.from_bytes(struct.pack("<f", number), "little")
-    return round(number) & ((1 << 8 * size * len(quantity.phases)) - 1)
 
 
 def _written(entry: Field, number: float) -> bytes:

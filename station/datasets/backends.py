@@ -93,7 +93,8 @@ class CsvWriter:
         nothing = "," * (self._width - 1)
         levels = codes.astype(np.int16) + 128
         for place, output in enumerate(rows.outputs):
-            cells = [_cell(rows.columns[name][place]) for name in COLUMNS]
+            values = (rows.columns[name][place] for name in COLUMNS)
+            cells = [repr(one).replace("nan", "") if isinstance(one, float) else inert(str(one)) for one in values]
             if cells[-1] == self._told:
                 cells[-1] = ""
             else:
@@ -238,12 +239,6 @@ def codes_of(cells: bytes) -> bytes:
 def _schema_of(mark: str) -> dict[str, Any] | None:
     name, _, version = mark.rpartition(" ")
     return {"name": name, "version": int(version)} if version.isdecimal() else None
-
-
-def _cell(value: Any) -> str:
-    if isinstance(value, float):
-        return "" if math.isnan(value) else repr(value)
-    return inert(str(value))
 
 
 # --------------------

@@ -131,7 +131,12 @@ def _read(taken: Sequence[SavedRecord], waveforms: Sequence[Waveform], settings:
     """Find the beat of every record."""
     intervals = np.array([wave.sample_interval for wave in waveforms])
     sizes = np.array([wave.codes.size for wave in waveforms], dtype=np.int64)
-    swing = np.array([_swing(wave.volts) for wave in waveforms])
+    swing = np.zeros(len(waveforms))  # of a smoothed record; samples without data are left out
+    for place, wave in enumerate(waveforms):
+        whole = wave.volts.size // _SMOOTHED * _SMOOTHED
+        smooth = wave.volts[:whole].reshape(-1, _SMOOTHED).mean(axis=-1)
+        smooth = smooth[np.isfinite(smooth)]
+        swing[place] = np.ptp(smooth) if smooth.size else 0.0
     locked = swing < _TURNS_FROM * swing.max()
     beat, beat_u = np.where(locked, 0.0, math.nan), np.full(swing.shape, math.nan)
     turning = np.flatnonzero(~locked)
@@ -163,14 +168,6 @@ def _read(taken: Sequence[SavedRecord], waveforms: Sequence[Waveform], settings:
         clock=clock,
         azimuth_known=bool(np.isfinite(azimuth).all()),
     )
-
-
-def _swing(volts: Array) -> float:
-    """Largest less smallest value of a smoothed record; samples without data are left out."""
-    whole = volts.size // _SMOOTHED * _SMOOTHED
-    smooth = volts[:whole].reshape(-1, _SMOOTHED).mean(axis=-1)
-    smooth = smooth[np.isfinite(smooth)]
-    return float(np.ptp(smooth)) if smooth.size else 0.0
 
 
 def _dead_band(records: SweepRecords, scale_factor: float, rate_u: float) -> DeadBand:
@@ -289,7 +286,10 @@ QUANTITIES = (
 def result(found: DeadBandEvaluation, run: SavedRun, settings: DeadBandSettings) -> Result:
     """Put into numbers and sentences what was found."""
     band = found.band
-    lock_in = _with_u(band.lock_in_rate, found.lock_in_rate_u)
+    lock_in, truth = _with_u(band.lock_in_rate, found.lock_in_rate_u), ""
+    if (known := run.facts.truth) is not None:
+        size, bias = known[LOCK_IN_RATE.key()], known[BIAS_RATE.key()]
+        truth = f"the truth is a lock-in rate of {size:g} deg/s and a bias of {bias:+.6g} deg/s"
     return Result(
         name="dead band",
         value=_with_u(2 * band.lock_in_rate, 2 * found.lock_in_rate_u),
@@ -301,7 +301,7 @@ def result(found: DeadBandEvaluation, run: SavedRun, settings: DeadBandSettings)
         to_watch=tuple(_to_watch(found)),
         flags=tuple(_flags(found)),
         left_out=found.left_out,
-        truth=_truth(run),
+        truth=truth,
     )
 
 
@@ -311,14 +311,6 @@ def _with_u(value: float, u: float) -> str:
 
 def _count(found: DeadBandEvaluation) -> str:
     return f"{int(found.records.step[-1]) + 1} rates, {len(found.records.rate)} records"
-
-
-def _truth(run: SavedRun) -> str:
-    truth = run.facts.truth
-    if truth is None:
-        return ""
-    lock_in, bias = truth[LOCK_IN_RATE.key()], truth[BIAS_RATE.key()]
-    return f"the truth is a lock-in rate of {lock_in:g} deg/s and a bias of {bias:+.6g} deg/s"
 
 
 def _document(found: DeadBandEvaluation) -> dict[str, Any]:

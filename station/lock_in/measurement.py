@@ -99,7 +99,11 @@ class _LockInPreview:
     def _values(self, rate: _Rate) -> tuple[PreviewValue, ...]:
         (ratio, u), beat, count = rate.ratio, rate.beat, len(rate.beats)
         size = math.sqrt(max(abs(ratio) ** 2 - u * u, 0.0))  # noise makes a small complex number larger
-        lock_in, lock_in_u = _lock_in(size, beat / self._scale_factor, u)
+        lock_in, lock_in_u = math.nan, math.nan
+        if size < 1:  # a record is its own reference
+            beat_rate = beat / self._scale_factor
+            lock_in = float(lock_in_from_beat(size, beat_rate))
+            lock_in_u = 2 * beat_rate * (1 + size**2) / (1 - size**2) ** 2 * u
         return (
             PreviewValue(
                 LOCK_IN_RATE.key(), lock_in, lock_in_u, with_uncertainty(lock_in, lock_in_u, "deg/s"), count
@@ -148,14 +152,6 @@ def _group(record: NewRecord) -> str:
 def _number(record: NewRecord, name: str, default: float) -> float:
     value = record.conditions.get(name)
     return float(value) if isinstance(value, int | float) else default
-
-
-def _lock_in(ratio: float, beat_rate: float, ratio_u: float) -> tuple[float, float]:
-    """Lock-in rate in deg/s of a record that is its own reference, and its u for that of the ratio."""
-    if not 0 <= ratio < 1:
-        return math.nan, math.nan
-    slope = 2 * beat_rate * (1 + ratio**2) / (1 - ratio**2) ** 2
-    return float(lock_in_from_beat(ratio, beat_rate)), slope * ratio_u
 
 
 MEASUREMENT = Measurement(

@@ -160,6 +160,8 @@ class Outcome:
 def outcome(plan: Plan, drift: float, fault: Fault | None, seed: int) -> Outcome:
     """Draw a bench, take its run, evaluate it."""
     rng = np.random.default_rng(seed)
+    # a fault stands beside what is otherwise even
+    bends = 0.0 if fault else drift * PHASE_CHANGE_LIMIT * float(np.random.default_rng((seed, 1)).uniform(-1, 1))
     fault = fault or Fault()
     slowest = K * WL * math.sqrt(min(abs(rate) for rate in plan.rates) ** 2 - 1)
     longest = 1 / (2 * np.pi * (STATED_HZ if plan.stated else lowest_bandwidth(slowest)))
@@ -171,7 +173,6 @@ def outcome(plan: Plan, drift: float, fault: Fault | None, seed: int) -> Outcome
     between, turns = drift * PHASE_CHANGE_LIMIT * rng.uniform(-1, 1, 2) + (0, _either(rng, fault.turns))
     between = between if fault.between is None else _either(rng, fault.between)
     grows = drift * LOCK_IN_DRIFT_LIMIT * rng.uniform(-1, 1) + _either(rng, fault.grows)
-    bends = drift * PHASE_CHANGE_LIMIT * float(np.random.default_rng((seed, 1)).uniform(-1, 1))
     start, readout = rng.uniform(0, 2 * np.pi, 2)
     angle, logarithm, saturation = rng.uniform(*BACKSCATTER)
     receiver = Detector(start, second_order=2 * second, third_order=4 * third)

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from copy import copy
 from dataclasses import dataclass, replace
 from itertools import product
 
@@ -139,7 +140,6 @@ class LaserModel:
         self.sagnac = np.sign(some.rate) * some.angular  # what was found last is where the next search begins
         self.softer = 1.0  # times as much noise as there is
         if near is not None:
-            near.model.predicted(near.parameters[np.newaxis])  # leaves its states there
             self.states, self.sagnac = near.model.states, near.model.sagnac
 
     @np.errstate(over="ignore", divide="ignore", invalid="ignore")  # where there is no laser it says so
@@ -307,7 +307,8 @@ class LaserFit:
         covariance = np.zeros((N_PARAMETERS, N_PARAMETERS))
         covariance[np.ix_(free, free)] = (vectors / eigenvalues) @ vectors.T / np.outer(size, size)
         volume = -0.5 * float(np.sum(np.log(eigenvalues))) - float(np.sum(np.log(size)))
-        return cls(model, parameters, covariance, float(residual @ residual), volume, residual.size)
+        # what it found last stays with the fit: close to lock-in nothing else leads there
+        return cls(copy(model), parameters, covariance, float(residual @ residual), volume, residual.size)
 
     def coupling(self, widen: float, *, per_rate: bool = False) -> tuple[tuple[float, ...], tuple[float, float]]:
         """|C| freed of the bias of its size, its u and 95 % interval (rad/s), and the phase of C with its u."""
@@ -404,6 +405,7 @@ def _steps(data: LaserData) -> Floats:
     return np.diag(np.where(np.isfinite(data.sd) & (data.sd > 0), 1e-4 * data.sd, _SMALL))
 
 
+@np.errstate(over="ignore", divide="ignore", invalid="ignore")  # far from any laser
 def search(
     model: LaserModel, start: Floats, evaluations: int, settled: float = _SETTLED
 ) -> tuple[Floats, float] | None:
@@ -478,8 +480,11 @@ def solutions(model: LaserModel, looked: list[tuple[Floats, float]]) -> list[Las
             end = end and search(model, end[0], EVALUATIONS, _ROUGHLY)
             found = found if end is None else _with(found, LaserFit.at(model, end[0]))
     least = min(one.chi_square for one in found)
-    ends = (search(model, one.parameters, EVALUATIONS) for one in found if one.chi_square < least + _FAR)
-    found = sorted((LaserFit.at(model, end[0]) for end in ends if end), key=lambda one: one.chi_square)
+    possible = (one for one in found if one.chi_square < least + _FAR)
+    ends = ((one, search(one.model, one.parameters, EVALUATIONS)) for one in possible)
+    found = sorted(
+        (LaserFit.at(one.model, end[0]) if end else one for one, end in ends), key=lambda one: one.chi_square
+    )
     if found[0].chi_square > _HOPELESS * found[0].values:
         raise NoFit("no two-mode laser is near what the records show: is its backscatter too strong for its gain?")
     return [one for one in found if one.chi_square < found[0].chi_square + POSSIBLE]
@@ -544,8 +549,7 @@ def lasers_by_rates(
 ) -> list[LaserFit]:
     """Lasers that data allow, each rate off by itself by as much as they show: at least by so much, relative."""
     found = []
-    for own in (own_u, max(own_u, _UNKNOWN)):
-        # no laser follows rates that are wrong, or one that goes far for it: then they say little
+    for own in (own_u, max(own_u, _UNKNOWN)):  # rates that no laser follows, or one that goes far, say little
         data = replace(data, rate_weight=rates_weight(data.points, own)[0])
         with suppress(NoFit):
             found = look(data)

@@ -478,7 +478,10 @@ def matrix_table(matrix: ThreeAxes) -> TextTable:
 
 def _axis(one: AxisResult, settings: FogSettings) -> dict[str, Any]:
     points = zip(one.runs.rate_dps, one.windows, one.fit.residual_ppm, one.keys, strict=True)
-    ladder = one.linearity
+    differences, ladder = list[dict[str, Any]](), one.linearity
+    if (made := one.differences) is not None:
+        off = PPM * (made.number / (one.fit.scale_factor * made.delta_dps) - 1)
+        differences = [{**row, FROM_FIT.key(): by} for row, by in zip(rows(made, DIFFERENCES), off, strict=True)]
     linearity = ladder and {
         "terms": ladder.chosen,
         **document(ladder, [*map(_term, ladder.value), *LADDER]),
@@ -489,7 +492,7 @@ def _axis(one: AxisResult, settings: FogSettings) -> dict[str, Any]:
         **document(one, NUMBERS),
         NOMINAL_DIFFERENCE.key(): PPM * (one.fit.scale_factor / settings.nominal_scale_factor - 1),
         **document(one, (SCALE_FACTOR_U, SCATTER)),
-        "differences": _differences(one),
+        "differences": differences,
         "linearity": linearity,
         "noise_model": None if one.noise is None else one.noise.source,
         "budget": axis_budget(one, settings),
@@ -537,13 +540,6 @@ def _ladder_sentence(one: AxisResult) -> str:
         f"nonlinearity is {ladder.rms_ppm:.2g} ppm of full scale, {interval} (rms, 95 %). K is that of the "
         "straight line, and what the output lies off it counts in its uncertainty."
     )
-
-
-def _differences(one: AxisResult) -> list[dict[str, Any]]:
-    if (made := one.differences) is None:
-        return []
-    off = PPM * (made.number / (one.fit.scale_factor * made.delta_dps) - 1)
-    return [{**row, FROM_FIT.key(): value} for row, value in zip(rows(made, DIFFERENCES), off, strict=True)]
 
 
 def _even_part_sentence(settings: FogSettings) -> str:

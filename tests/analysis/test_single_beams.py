@@ -466,3 +466,15 @@ def test_whatever_is_bounded_may_be_there_at_once(seed, u):
     found = beams.outcome(beams.PLANS["3 10 30, one sense"], seed)
     assert found is not None and abs(found.pull) < 3 and found.u < u
     assert not found.flags & (BeamsFlag.MISFIT | BeamsFlag.ROUTES_DIFFER)
+
+
+def test_a_whole_turn_between_the_senses_is_none():
+    """The search from every start ends one away."""
+    found = beams.outcome(beams.PLANS["8, both senses"], 6)
+    assert found is not None and abs(found.pull) < 3 and not found.flags
+
+
+@pytest.mark.slow
+def test_a_minimum_that_no_search_finds_again_ends_no_run():
+    """Other minima were found after it, and their solutions are too far from it."""
+    assert beams.outcome(beams.PLANS["3 5 9 17 30, both senses"], 300_023) is not None

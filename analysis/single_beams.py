@@ -38,7 +38,6 @@ from analysis.several_rates.laser_fit import (
     FIRST,
     GAIN,
     LAG,
-    LEAST_U,
     LEVEL,
     MOST_BIAS,
     OTHER_BEAM,
@@ -74,7 +73,7 @@ class BeamsKnowledge:
     ac_corner_hz: float = 0.0  # of the AC coupling that was taken out; 0: there is none
     bandwidth_hz: float = math.nan  # lowest corner of the beams' receivers, one pole each
     scale_u: float = math.nan  # relative, of scale factor and rates, common to all settings
-    rate_u: float = LEAST_U  # relative, of each rate by itself; the records say when it is larger
+    rate_u: float = math.nan  # relative, of each rate by itself: at least, for the records show more
     dead_band: float = math.nan  # lock-in rate by the dead band, deg/s, and its standard uncertainty
     dead_band_u: float = math.nan
 
@@ -301,7 +300,7 @@ def _swings(points: Points, modulation: BeamModulation) -> tuple[Complexes, Floa
     spread, freedom = 0.0, -2 * sum(fitted for *_, fitted in curves)
     for rows, data, _ in points.records.data():
         some = modulation.take(rows)
-        seen = np.stack([points.along(curve, data) for curve, *_ in curves], axis=-1)
+        seen = np.stack([points.on_curves(curve, data) for curve, *_ in curves], axis=-1)
         left = np.abs(some.modulation - seen) / some.modulation_u
         spread, freedom = spread + float(np.nansum(left**2)), freedom + 2 * int(np.isfinite(left).sum())
     unlikely = freedom > 0 and float(scipy.special.chdtrc(freedom, spread)) < UNLIKELY
@@ -428,8 +427,8 @@ def _routes(fit: RatesFit, data: LaserData, best: LaserFit) -> tuple[Route, ...]
         # for the scale factor as given: what rates have in common goes into the one that they show
         by = [one.scale_factor / given for one in tried]
         values = [share * one.lock_in_rate for share, one in zip(by, tried, strict=True)]
-        way = values[0] * np.array([0.5 / tried[0].lock_in_square, 0.0, 1 / tried[0].scale_factor])
-        own_u = math.sqrt(float(way @ tried[0].covariance @ way))
+        way = np.array([0.5 * by[0] / tried[0].lock_in_rate, 0.0, tried[0].lock_in_rate / given])
+        own_u = float(np.sqrt(np.maximum(way @ tried[0].covariance @ way, 0.0)))
         value, u = values[0], math.hypot(own_u, *((one - values[0]) / math.sqrt(6) for one in values))
         low, high = (
             by[0] * min(one.lock_in_rate_low_95 for one in tried),

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from copy import copy
 from dataclasses import dataclass, replace
 from itertools import product
@@ -540,7 +539,7 @@ def rates_weight(points: Points, own_u: float) -> tuple[Floats, Floats]:
         beats += points.places.sums(block, np.ones(block.rate.shape), block.beat_frequency_u**2)
     beat_u = np.sqrt(beats[1]) / beats[0]
     by_beat = points.points.beat_rate / rates * beat_u / records.scale_factor
-    u = np.linalg.norm([rate_u, by_beat, own_u * rates], axis=0)
+    u = np.linalg.norm([rate_u, by_beat, np.fmax(own_u, LEAST_U) * rates], axis=0)
     return (not records.rate_of_beat) / u, beat_u
 
 
@@ -548,15 +547,16 @@ def lasers_by_rates(
     data: LaserData, look: Callable[[LaserData], list[LaserFit]], own_u: float = LEAST_U
 ) -> list[LaserFit]:
     """Lasers that data allow, each rate off by itself by as much as they show: at least by so much, relative."""
-    found = []
-    for own in (own_u, max(own_u, _UNKNOWN)):  # rates that no laser follows, or one that goes far, say little
+    found = list[LaserFit]()
+    for own in (own_u, np.fmax(own_u, _UNKNOWN)):  # rates that no laser follows, or one that goes far, say little
         data = replace(data, rate_weight=rates_weight(data.points, own)[0])
-        with suppress(NoFit):
+        try:
             found = look(data)
-            if found[0].rates_scale < _OFF:
-                break
-    if not found:
-        raise NoFit("no two-mode laser fits the records")
+        except NoFit:
+            if own >= _UNKNOWN and not found:
+                raise
+        if found and found[0].rates_scale < _OFF:
+            break
     for _ in range(_ROUNDS):
         scale = found[0].rates_scale
         if scale <= 1:

@@ -519,8 +519,8 @@ class Points:
         chi_square, values = 0.0, 2 * (int(self.records.used.sum()) - fitted) - thirds
         for _, data, _ in self.records.data():
             left, rest = _left(parameters, data)
-            rest = rest - self.along(third, data).real
-            of_ratio, of_third = in_standard_uncertainties(left - self.along(mean, data), rest, data)
+            rest = rest - self.on_curves(third, data).real
+            of_ratio, of_third = in_standard_uncertainties(left - self.on_curves(mean, data), rest, data)
             chi_square += float(np.sum(of_ratio**2) + np.sum(of_third**2))
             values += int(np.count_nonzero(data.third_weight))
         return chi_square, values
@@ -546,7 +546,7 @@ class Points:
         curve = np.asarray(np.linalg.solve(normal, aim[..., np.newaxis])[..., 0])
         return curve, np.asarray(sums[0]), int(np.count_nonzero(known))
 
-    def along(self, curves: Complexes, data: RatioData) -> Complexes:
+    def on_curves(self, curves: Complexes, data: RatioData) -> Complexes:
         """Values of such curves at the times of some records (m,)."""
         powers = self._times(data)[:, np.newaxis] ** np.arange(curves.shape[-1])
         return np.asarray(np.sum(curves[self.places[data]] * powers, axis=-1))

@@ -317,6 +317,19 @@ def test_no_beam_is_no_fit():
     )
     with pytest.raises(NoFit, match="single beam"):
         fit_beams(alone, nothing, KNOWN)
+    # and beams that no laser has: the reason is told
+    sense = np.sign(alone.each.records.records.rate)[:, np.newaxis]
+    with pytest.raises(NoFit, match="too strong for its gain"):
+        fit_beams(alone, replace(swing, modulation=swing.modulation * np.where(sense > 0, 5.0, 0.02)), KNOWN)
+
+
+def test_rates_of_which_nothing_is_known_are_as_good_as_they_show():
+    alone, swing = measured(Bench(laser()), (0.03, -0.03, 0.3, -0.3))
+    plain, nothing, exact, stated = (
+        fit_beams(alone, swing, replace(KNOWN, **known)).lock_in_rate_u
+        for known in ({}, {"rate_u": np.nan}, {"rate_u": 0.0}, {"rate_u": 1e-3})
+    )
+    assert plain == nothing == exact < stated
 
 
 @pytest.mark.parametrize("slowness", [0.05, 0.3, 1.0, 3.0, 5.5])

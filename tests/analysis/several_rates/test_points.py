@@ -39,7 +39,7 @@ def test_a_curve_in_time_is_found_where_there_are_times_for_it(gathered):
     value = (0.3 - 0.2j) + (2.0 + 1.0j) * data.when + (-0.7 + 3.0j) * data.when**2
     curve, total, numbers = points.curves([(data, other, value)])
     several = np.bincount(place_of) > 2
-    assert points.along(curve, data)[several[place_of]] == pytest.approx(value[several[place_of]])
+    assert points.on_curves(curve, data)[several[place_of]] == pytest.approx(value[several[place_of]])
     assert total == pytest.approx(np.bincount(place_of, other))
     assert numbers == np.minimum(np.bincount(place_of), 3).sum() == np.count_nonzero(curve)
     # the mean over the times of all records is that of two times

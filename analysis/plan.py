@@ -435,7 +435,7 @@ def expected_beams_u(
     for _ in range(_DRAWS):
         laser = _drawn(rng, data, 2 * np.pi * scale_factor * lock_in_rate)
         ratio, _, swing, _, found = LaserModel(data).predicted(laser[np.newaxis])
-        if not found[0]:  # its backscatter is too strong for the slowest rate
+        if not found:  # its backscatter is too strong for the slowest rate
             continue
         points = replace(data.points, points=replace(data.points.points, ratio=ratio[0]))
         weight = data.swing_weight / np.maximum(np.abs(swing[0]), 1e-12)

@@ -35,6 +35,7 @@ FEWEST_LINES = 16  # on either side of a spectrum to begin with, in the same way
 NEGLIGIBLE_LINE = 1e-13
 ROUNDS = 30
 LONGEST_STEP = 0.5
+LAST_HARMONIC = 1e-10  # share by which the first harmonic that is left out would count
 CONVERGED = 1e-8  # Newton's method squares its error: the next step would be rounding
 
 DETOUR = (4.0, 2.0, 1.5, 1.2, 1.1, 1.05, 1.02, 1.01, 1.0)
@@ -158,7 +159,7 @@ def _path(laser: TwoModeLaser, input_rate: float) -> tuple[Floats, Floats, Float
             lines = np.fft.rfft(values)[:, : POINTS // 2] * (POINTS / values.shape[1])
             logs = np.fft.irfft(lines, POINTS)
             sagnac = np.array([2 * np.pi * laser.scale_factor * input_rate])
-            speed = _slopes(laser.numbers[np.newaxis], sagnac, psi[np.newaxis], logs[np.newaxis])[0][0]
+            speed = _motion(laser.numbers[np.newaxis], sagnac, psi[np.newaxis], logs[np.newaxis])[0][0]
             return psi, logs, 1 / np.abs(speed)
     raise ValueError(
         f"the gyro is locked at {input_rate:.6g} deg/s, or its backscatter is too strong for its gain: "
@@ -217,24 +218,28 @@ def periodic_states(
     return values, sagnac, found & (size < CONVERGED)
 
 
-def steps_of_a_turn(ratios: Complexes) -> int:
-    """Steps of the phase that solutions with these second harmonics over their fundamentals take."""
-    steepest = float(np.max(np.abs(ratios)))
-    return 1 + (FEWEST - 1) * (1 if steepest < 0.25 else 2 if steepest < 0.5 else 4)
+def steps_of_a_turn(ratios: Complexes) -> tuple[int, int]:
+    """Steps of the phase, and harmonics, that solutions with these second over their first harmonics take."""
+    # each harmonic counts by as much as it has; backscatters that nearly cancel in the ratio swing the beams
+    steepest = float(np.clip(np.max(np.abs(ratios)), 0.2, 0.8))
+    lines = math.ceil(math.log(LAST_HARMONIC) / 2 / math.log(steepest))
+    return 1 + 4 * lines, lines
 
 
 def states_beside(
-    lasers: Floats, known: Floats, of: Indices, sagnac: Floats, values: Floats, angular: Floats
+    lasers: Floats, known: Floats, sagnac: Floats, values: Floats, angular: Floats
 ) -> tuple[Floats, Floats]:
-    """Values (B, 2, n) and sagnac (B,) of lasers (B, 5) so near to others that one step of Newton's will do.
+    """Values (B P, 2, n) and sagnac (B P,) of B sets of lasers, (B, P, 5), near to one set.
 
-    Of those, `known` (P, 5), the solutions and the beats (P,) are given; `of` (B,) says which is near to which.
+    So near to `known` (P, 5), whose solutions and beats (P,) are given, that one step of Newton's will do.
     """
-    inverse = np.linalg.inv(_newton(known, sagnac, values, angular)[1])
+    sets = len(lasers)
+    slopes = _newton(known, sagnac, values, angular)[1]
+    sagnac, values, angular = np.tile(sagnac, sets), np.tile(values, (sets, 1, 1)), np.tile(angular, sets)
     # the slopes are those of the known ones: the same for all that are near to it
-    missing = _newton(lasers, sagnac[of], values[of], angular[of], slopes=False)[0]
-    step = (inverse[of] @ missing[..., np.newaxis])[..., 0]
-    return _stepped(values[of], sagnac[of], step, angular[of])
+    missing = _newton(lasers.reshape(-1, 5), sagnac, values, angular, slopes=False)[0]
+    step = np.linalg.solve(slopes, missing.reshape(sets, len(known), -1).transpose(1, 2, 0)).transpose(2, 0, 1)
+    return _stepped(values, sagnac, np.asarray(step, np.float64).reshape(missing.shape), angular)
 
 
 def lines_in_time(lasers: Floats, sagnac: Floats, values: Floats, count: int) -> tuple[Floats, Complexes, Floats]:
@@ -265,7 +270,7 @@ def _newton(
     sense, at = np.sign(sagnac), np.arange(n)
     psi = sense[:, np.newaxis] * _phases(n, 1.0)
     derive = sense[:, np.newaxis, np.newaxis] * _derivative(n)
-    speed, growth, speed_by, growth_by = _slopes(lasers, sagnac, psi, values)
+    speed, growth, pull, feed = _motion(lasers, sagnac, psi, values)
     turns = np.min(speed * sense[:, np.newaxis], axis=1) > STANDSTILL * np.abs(sagnac)
     slope = values @ derive.swapaxes(1, 2)
     missing = np.empty((count, 2 * n + (angular is not None)))
@@ -276,6 +281,7 @@ def _newton(
         missing[:, -1] = 1 - share.sum(axis=1)
     jacobian = np.zeros((count, missing.shape[1], missing.shape[1] if slopes else 0))
     if slopes:
+        speed_by, growth_by = _slopes(lasers, values, pull, feed)
         for beam in range(2):
             jacobian[:, beam * n : (beam + 1) * n, beam * n : (beam + 1) * n] = speed[:, :, np.newaxis] * derive
             for other in range(2):
@@ -298,21 +304,32 @@ def _derivative(n: int) -> Floats:
     return matrix
 
 
-def _slopes(lasers: Floats, sagnac: Floats, psi: Floats, values: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-    """d psi/dt (B, n), d ln I/dt (B, 2, n); of both, the derivatives (B, 2, n), (B, 2, 2, n) by the two ln I."""
+def _motion(
+    lasers: Floats, sagnac: Floats, psi: Floats, values: Floats
+) -> tuple[Floats, Floats, tuple[Floats, Floats], tuple[Floats, Floats]]:
+    """d psi/dt (B, n), d ln I/dt (B, 2, n); what each backscatter takes from the first and adds to the second."""
     a1, a2, half, xi, gain_rate = lasers.T[..., np.newaxis]
     gain = gain_rate / (1 + xi)
-    first, second = np.exp(values[:, 0]), np.exp(values[:, 1])
+    first, second = np.exp(values).swapaxes(0, 1)
     ratio = np.exp((values[:, 0] - values[:, 1]) / 2)
     pull = a1 * ratio * np.sin(psi - half), a2 / ratio * np.sin(psi + half)
     feed = 2 * a2 / ratio * np.cos(psi + half), 2 * a1 * ratio * np.cos(psi - half)
     speed = sagnac[:, np.newaxis] - pull[0] - pull[1]
     growth = gain * (1 + xi - first - xi * second) + feed[0], gain * (1 + xi - second - xi * first) + feed[1]
+    return np.asarray(speed), np.stack(growth, axis=1), pull, feed
+
+
+def _slopes(
+    lasers: Floats, values: Floats, pull: tuple[Floats, Floats], feed: tuple[Floats, Floats]
+) -> tuple[Floats, Floats]:
+    """Derivatives of what :func:`_motion` gives by the two ln I: (B, 2, n) and (B, 2, 2, n)."""
+    xi, gain_rate = lasers.T[3:, :, np.newaxis]
+    gain = gain_rate / (1 + xi)
+    first, second = np.exp(values).swapaxes(0, 1)
     turned = (pull[1] - pull[0]) / 2
     by_first = np.stack([-gain * first - feed[0] / 2, -gain * xi * second + feed[0] / 2], axis=1)
     by_second = np.stack([-gain * xi * first + feed[1] / 2, -gain * second - feed[1] / 2], axis=1)
-    speed_by, growth_by = np.stack([turned, -turned], axis=1), np.stack([by_first, by_second], axis=1)
-    return np.asarray(speed), np.stack(growth, axis=1), speed_by, growth_by
+    return np.stack([turned, -turned], axis=1), np.stack([by_first, by_second], axis=1)
 
 
 def beat_phase(psi: Floats, slowness: Floats) -> tuple[Floats, Floats]:

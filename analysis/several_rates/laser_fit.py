@@ -116,13 +116,15 @@ def _lasers(parameters: Floats, data: LaserData) -> tuple[Floats, Floats]:
     some, column = data.points.points, parameters[:, np.newaxis]
     turned = column[..., BETWEEN] * np.sign(some.rate) / 2 + column[..., TURN] * some.when
     turned = turned + column[..., BEND] * (6 * some.when**2 - 0.5)
-    then = (1 + column[..., DRIFT] * some.when) * np.exp(1j * turned)
-    first, second = (_backscatter(column[..., part]) * then for part in (FIRST, SECOND))
-    half = np.angle(second * np.conj(first)) / 2
-    saturation = np.clip(column[..., SATURATION], 0.0, _MOST_SATURATION) + 0 * half
-    gain = np.exp(np.minimum(column[..., GAIN], 30.0)) + 0 * half
-    numbers = np.stack([np.abs(first), np.abs(second), half, saturation, gain], axis=-1)
-    return numbers, -np.angle(first * np.exp(1j * half))
+    grown = np.abs(1 + column[..., DRIFT] * some.when)
+    numbers = np.empty((*grown.shape, 5))
+    for beam, part in enumerate((FIRST, SECOND)):
+        numbers[..., beam] = np.exp(np.clip(column[..., part.start], -30.0, 30.0)) * grown
+    first, second = column[..., FIRST.stop - 1], column[..., SECOND.stop - 1]
+    half = np.angle(np.exp(1j * (second - first))) / 2
+    numbers[..., 2], numbers[..., 3] = half, np.clip(column[..., SATURATION], 0.0, _MOST_SATURATION)
+    numbers[..., 4] = np.exp(np.minimum(column[..., GAIN], 30.0))
+    return numbers, -(first + turned + half)
 
 
 def _backscatter(part: Floats) -> Complexes:
@@ -135,8 +137,10 @@ class LaserModel:
 
     def __init__(self, data: LaserData, near: LaserFit | None = None) -> None:
         self.data, some = data, data.points.points
-        self.states = np.zeros((some.rate.size, 2, steps_of_a_turn(some.ratio)))
+        steps, self.lines = steps_of_a_turn(some.ratio)
+        self.states = np.zeros((some.rate.size, 2, steps))
         self.sagnac = np.sign(some.rate) * some.angular  # what was found last is where the next search begins
+        self.solved: Floats | None = None  # lasers (P, 5) that the states solve
         self.softer = 1.0  # times as much noise as there is
         if near is not None:
             self.states, self.sagnac = near.model.states, near.model.sagnac
@@ -159,7 +163,7 @@ class LaserModel:
         parts = counts * of_ratio, counts * of_third, of_swing.real, of_swing.imag, of_rate
         seen = [part.reshape(len(parameters), -1) / self.softer for part in parts]
         whole = np.concatenate([*seen, before], axis=-1)
-        return np.where(found[:, np.newaxis] & np.isfinite(whole), whole, _FAILED)
+        return np.where(found & np.isfinite(whole), whole, _FAILED)
 
     def of_rate(self, parameters: Floats, sagnac: Floats) -> Floats:
         """What rates (B, P) leave of those of the table, in standard uncertainties."""
@@ -167,76 +171,71 @@ class LaserModel:
         known = self.data.points.points.rate * (1 + parameters[:, SCALE, np.newaxis])
         return np.asarray((known + parameters[:, BIAS, np.newaxis] - rate) * self.data.rate_weight)
 
-    def predicted(self, parameters: Floats) -> tuple[Complexes, Floats, Complexes, Floats, Bools]:
-        """Ratio, third harmonic (B, P), modulation of the beams (B, P, 2), 2 pi K W (B, P); sets that have any."""
+    def predicted(self, parameters: Floats) -> tuple[Complexes, Floats, Complexes, Floats, bool]:
+        """Ratio, third harmonic (B, P), modulation of the beams (B, P, 2), 2 pi K W (B, P); if there are."""
         data, angular, column = self.data, self.data.points.points.angular, parameters[:, np.newaxis]
-        (numbers, readout), shape = _lasers(parameters, data), (len(parameters), angular.size)
-        light = self._light(numbers.reshape(-1, 5))
+        numbers, readout = _lasers(parameters, data)
+        light = self._light(numbers)
         # records turn while they are taken: their mean is that of two
-        parts = []
-        for beside, weight in zip(data.points.beside, data.points.beside_weights, strict=True):
-            turning = column[..., TURN] + 6 * column[..., BEND] * (2 * data.points.points.when + beside)
-            seen = self._seen(parameters, readout - turning * beside, light)
-            parts.append([each.reshape(*shape, -1) * weight[:, np.newaxis] for each in seen])
-        ratio, third, swing = (sum(part[1:], part[0]) for part in zip(*parts, strict=True))
+        beside, weights = data.points.beside.T, data.points.beside_weights.T
+        each, when = column[..., np.newaxis, :], data.points.points.when[:, np.newaxis]
+        turning = each[..., TURN] + 6 * each[..., BEND] * (2 * when + beside)
+        seen = self._seen(each, readout[..., np.newaxis] - turning * beside, light)
+        ratio, third, swing = ((part * weights).sum(axis=-1) for part in seen)
+        swing = np.moveaxis(swing, 0, -1)
         swing = swing / (1 + 1j * angular[:, np.newaxis] * column[..., DELAY])
         swing = swing + column[..., CROSSTALK] * data.over + column[..., OTHER_BEAM] * swing[..., ::-1]
         hertz, stated = angular[:, np.newaxis] / (2 * np.pi), data.ac_corner_hz
         corner = (hertz - 1j * stated) / (hertz - 1j * (stated + column[..., CORNER, np.newaxis]))
         swing = np.exp(column[..., LEVEL]) * swing * corner
-        found = np.asarray(light.found[light.of_set].reshape(shape).all(axis=1))
-        return ratio[..., 0], third[..., 0].real, swing, light.sagnac[light.of_set].reshape(shape), found
+        return ratio, third.real, swing, light.sagnac[light.of_set], light.found
 
     def _seen(self, parameters: Floats, readout: Floats, light: _Light) -> tuple[Complexes, Floats, Complexes]:
-        """Ratio and third harmonic (B P,), and swing of the beams (B P, 2) in front of their receivers."""
-        lines = self._lines(parameters, readout.reshape(-1, 1), light)
-        w, value = nearest_series(lines, np.conj(lines[:, 1] / lines[:, 0]))
+        """Ratio and third harmonic (B, P, k) at readout phases; swing of the beams in front of their receivers."""
+        lines = self._lines(parameters, readout, light)
+        w, value = nearest_series(lines, np.conj(lines[..., 1] / lines[..., 0]))
         turn = np.abs(value) / value
-        left = lines[:, 2] - (1 - np.abs(w) ** 2) * value * np.conj(w) ** 2
+        left = lines[..., 2] - (1 - np.abs(w) ** 2) * value * np.conj(w) ** 2
         third = (left * turn**3).real / np.abs(value)
-        beams = np.einsum("bik,bk->bi", light.beams, light.kernel[:, 0])[light.of_set]
-        return np.conj(w) * turn, third, beams * (np.abs(lines[:, 0]) / lines[:, 0])[:, np.newaxis]
+        beams = np.einsum("bin,bn->ib", light.beams, light.kernel[:, 0])[:, light.of_set, np.newaxis]
+        return np.conj(w) * turn, third, beams * (np.abs(lines[..., 0]) / lines[..., 0])
 
     def _light(self, numbers: Floats) -> _Light:
-        """Periodic solutions for the lasers (B P, 5) of all sets: each different one once."""
-        some, n = self.data.points.points, self.states.shape[-1]
-        place = np.tile(np.arange(some.rate.size), len(numbers) // some.rate.size)
-        # most parameters leave the laser as it is
-        _, which, back = np.unique(
-            np.column_stack([numbers, place]), axis=0, return_index=True, return_inverse=True
-        )
-        lasers, at = numbers[which], place[which]
-        last = numbers[-some.rate.size :]
-        values, sagnac, found = _by_degrees(last, self.sagnac, self.states, some.angular)
+        """Periodic solutions for the lasers (B, P, 5) of all sets: each different one once."""
+        angular = self.data.points.points.angular
+        values, sagnac, found = self.states, self.sagnac, np.array(self.solved is not None)
+        if not found or np.any(numbers[-1] != self.solved):
+            values, sagnac, found = _by_degrees(numbers[-1], sagnac, values, angular)
         if found.all():
-            self.states, self.sagnac = values, sagnac
-        if found.all() and len(lasers) > len(last):
-            values, sagnac = states_beside(lasers, last, at, sagnac, values, some.angular)
-        else:
-            values, sagnac = values[at], sagnac[at]
-        psi, kernel, _ = lines_in_time(lasers, sagnac, values, n // 2)
-        return _Light(psi, np.exp(values), kernel, sagnac, found[at], back.ravel())
+            self.states, self.sagnac, self.solved = values, sagnac, numbers[-1]
+        # most parameters leave the lasers as they are
+        others = np.any(numbers != numbers[-1], axis=(1, 2)) & found.all()
+        which, back = np.append(np.flatnonzero(others), -1), np.where(others, np.cumsum(others) - 1, others.sum())
+        if len(which) > 1:
+            values, sagnac = states_beside(numbers[which], numbers[-1], sagnac, values, angular)
+        psi, kernel, _ = lines_in_time(numbers[which].reshape(-1, 5), sagnac, values, self.lines)
+        of_set = back[:, np.newaxis] * angular.size + np.arange(angular.size)
+        return _Light(psi, np.exp(values), kernel, sagnac, bool(found.all()), of_set)
 
     def _lines(self, parameters: Floats, readout: Floats, light: _Light) -> Complexes:
-        """Harmonics (B P, n // 2) of the beat behind its receiver, over its amplitude."""
-        some, column, back = self.data.points.points, parameters[:, np.newaxis], light.of_set
-        parts = (PEDESTAL, DISTORTION, THIRD_ORDER)
-        pedestal, second, third = np.repeat(parameters[:, parts], some.rate.size, axis=0).T[..., np.newaxis]
-        fringes = np.sqrt(light.beams.prod(axis=1))[back] * np.sin(light.psi[back] + readout)
-        signal = fringes = fringes + pedestal * (light.beams.mean(axis=1) - 1)[back]
+        """Harmonics (B, P, k, lines) of the beat behind its receiver, over its amplitude."""
+        some, at = self.data.points.points, (light.of_set, np.newaxis)
+        pedestal, second, third = (parameters[..., [part]] for part in (PEDESTAL, DISTORTION, THIRD_ORDER))
+        fringes = np.sqrt(light.beams.prod(axis=1))[at] * np.sin(light.psi[at] + readout[..., np.newaxis])
+        signal = fringes = fringes + pedestal * (light.beams.mean(axis=1) - 1)[at]
         # How much light there is the records say, by the amplitude of the series nearest to what leaves the
         # receiver: the laser gives the shape
-        x = some.angular * column[..., LAG]
-        amplitude = (some.amplitude * np.hypot(1.0, x)).reshape(-1, 1)  # before the pole
-        kernel = light.kernel[back]
-        lines = np.einsum("bk,bmk->bm", signal, kernel)
-        w = np.conj(lines[:, 1] / lines[:, 0])
+        x = some.angular[:, np.newaxis] * parameters[..., LAG]
+        amplitude = some.amplitude[:, np.newaxis] * np.hypot(1.0, x)  # before the pole
+        kernel = light.kernel[light.of_set]
+        lines = np.einsum("bpkn,bpmn->bpkm", signal, kernel)
+        w = np.conj(lines[..., 1] / lines[..., 0])
         for _ in range(_PASSES):
             w, value = nearest_series(lines, w, 1)
-            fringes = fringes * amplitude / np.abs(value)[:, np.newaxis]
+            fringes = fringes * (amplitude / np.abs(value))[..., np.newaxis]
             signal = fringes * (1 + fringes * (2 * second + 4 * third * fringes))
-            lines = np.einsum("bk,bmk->bm", signal, kernel)
-        return np.asarray(lines / (1 + 1j * x.reshape(-1, 1) * np.arange(1, lines.shape[1] + 1)))
+            lines = np.einsum("bpkn,bpmn->bpkm", signal, kernel)
+        return np.asarray(lines / (1 + 1j * x[..., np.newaxis] * np.arange(1, lines.shape[-1] + 1)))
 
 
 @dataclass(frozen=True)
@@ -245,10 +244,10 @@ class _Light:
 
     psi: Floats  # (L, n)
     beams: Floats  # (L, 2, n) I1 and I2
-    kernel: Complexes  # (L, n // 2, n) gives the harmonics in time
-    sagnac: Floats  # (L,) 2 pi K W, and whether there is a solution
-    found: Bools
-    of_set: Indices  # (B P,) which of them each set has at each point
+    kernel: Complexes  # (L, lines, n) gives the harmonics in time
+    sagnac: Floats  # (L,) 2 pi K W
+    found: bool  # whether the last set has solutions, which are near to all others
+    of_set: Indices  # (B, P) which of them each set has at each point
 
 
 def _by_degrees(lasers: Floats, sagnac: Floats, start: Floats, angular: Floats) -> tuple[Floats, Floats, Bools]:

@@ -224,16 +224,20 @@ def beyond_first_order(parameters: Floats, data: RatioData) -> tuple[Complexes, 
 
 def nearest_series(lines: Complexes, start: Complexes, rounds: int = 9) -> tuple[Complexes, Complexes]:
     """Ratio w of the geometric series nearest to lines (..., L), from a start, and the sum of d_n w^(n-1)."""
-    w, rest = start, 1 - np.abs(start) ** 2
+    w, rest, turned = start, 1 - np.abs(start) ** 2, np.conj(lines)
     for _ in range(rounds):
-        value, slope = _polynomial(lines, w)
-        w = w + rest * (np.conj(slope * (1 - np.abs(w) ** 2) / value) - w)
-    return w, _polynomial(lines, w)[0]
+        value, slope = _polynomial(turned, w)
+        step = rest * (np.conj(slope * (1 - np.abs(w) ** 2) / value) - w)
+        w = w + step
+        if np.all(np.abs(step) < _ROUNDING):
+            break
+    return w, _polynomial(turned, w)[0]
 
 
 _SMALLEST, _LARGEST = 1e-8, 0.95  # ratios between which a cubic law is worked out
 
 _PHASES = 512
+_ROUNDING = 1e-14  # a step that changes a ratio by less was the last one
 
 
 def _distorted(
@@ -251,11 +255,13 @@ def _distorted(
     return np.asarray(2 / _PHASES * np.fft.rfft(signal)[..., 1:-1])
 
 
-def _polynomial(lines: Complexes, w: Complexes) -> tuple[Complexes, Complexes]:
-    """Sum of d_n w^(n-1), and its derivative."""
-    orders = np.arange(lines.shape[-1])
-    powers = w[..., np.newaxis] ** orders
-    return np.vecdot(np.conj(lines), powers), np.vecdot(np.conj(lines[..., 1:]), orders[1:] * powers[..., :-1])
+def _polynomial(turned: Complexes, w: Complexes) -> tuple[Complexes, Complexes]:
+    """Sum of d_n w^(n-1), and its derivative, of conjugate lines."""
+    factors = np.empty(turned.shape, np.complex128)
+    factors[..., 0], factors[..., 1:] = 1.0, w[..., np.newaxis]
+    powers = np.cumprod(factors, axis=-1)
+    orders = np.arange(1, turned.shape[-1])
+    return np.vecdot(turned, powers), np.vecdot(turned[..., 1:], orders * powers[..., :-1])
 
 
 def third_harmonic_share(square: Floats) -> Floats:

@@ -5,7 +5,7 @@ import threading
 import time
 from collections import defaultdict, deque
 from collections.abc import Sequence
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -207,7 +207,7 @@ class SimulatedRateTable:
 
     def _look_up(self, times: Floats) -> tuple[Floats, Floats, Floats, Floats]:
         """Time since the start of the piece of each time, and what that piece begins with."""
-        start, azimuth, rate, acceleration = np.array([astuple(piece) for piece in self.motion]).T
+        start, azimuth, rate, acceleration = np.array([list(vars(piece).values()) for piece in self.motion]).T
         times = np.asarray(times, dtype=np.float64)
         index = np.maximum(np.searchsorted(start, times, side="right") - 1, 0)
         return times - start[index], azimuth[index], rate[index], acceleration[index]

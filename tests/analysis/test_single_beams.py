@@ -459,7 +459,7 @@ def test_lasers_beside_a_known_one_follow_by_one_step():
     away = []
     for share in (1e-2, 1e-3):
         others = known * (1 + share * np.eye(5))
-        near, near_at = states_beside(others, known[np.newaxis], np.zeros(5, np.intp), at, values, beats)
+        near, near_at = states_beside(others[:, np.newaxis], known[np.newaxis], at, values, beats)
         exact, exact_at, there = periodic_states(
             others, np.repeat(at, 5), np.repeat(values, 5, axis=0), np.repeat(beats, 5)
         )

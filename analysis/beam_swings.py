@@ -46,13 +46,15 @@ class BeamModulation(Stacked):
     """Swing of the single beams at the beat frequency, of n records of two beams; nan where there is none.
 
     modulation : (n, 2) complex, AC over DC, its phase against that of the beat's fundamental
-    modulation_u : (n, 2) standard uncertainty of its real and of its imaginary part
+    modulation_u : (n, 2) standard uncertainty of its real and of its imaginary part, but for the phase of the beat
+    phase_u : (n,) standard uncertainty of that phase, rad: it turns both beams
     beat_over_level : (n, 2) amplitude of the beat in volts over the DC level of the beam
     flags : bits of `BeamsFlag`, of both beams
     """
 
     modulation: Complexes
     modulation_u: Floats
+    phase_u: Floats
     beat_over_level: Floats
     flags: int
 
@@ -95,12 +97,17 @@ def beam_modulation(
         raise ValueError(f"beams must have shape (1 or 2, {whole.shape[0]}, {whole.shape[1]}), not {single.shape}")
     frequency = np.asarray(beat_frequency, dtype=np.float64)
     swing = np.full((len(whole), 2), np.nan, dtype=np.complex128)
-    swing_u, over = np.full(swing.shape, np.nan), np.full(swing.shape, np.nan)
+    swing_u, phase_u, over = (
+        np.full(swing.shape, np.nan),
+        np.full(len(whole), np.nan),
+        np.full(swing.shape, np.nan),
+    )
     beating = np.flatnonzero(frequency > 0)
     first, first_u, in_lines = _line(whole[beating], frequency[beating], sample_interval)
     steady = in_lines > _FADED
     rows, first, first_u = beating[steady], first[steady], first_u[steady]
     flags = 0 if steady.all() else int(BeamsFlag.RECORDS_LEFT_OUT)
+    phase_u[rows] = first_u / np.abs(first)
     turn = (1 - 1j * ac_corner_hz / frequency[rows]) * np.abs(first) / first
     for number, volts in enumerate(single):
         cut = np.zeros(rows.size, bool) if clipped is None else np.any(np.asarray(clipped)[number][rows], axis=-1)
@@ -113,11 +120,9 @@ def beam_modulation(
             flags, dc = flags | int(BeamsFlag.NO_LEVEL), 1.0  # a modulation in volts, the same for all rates
         kept = rows[~cut]
         swing[kept, number] = (line * turn / dc)[~cut]
-        # the phase of the beat is in it too
-        relative_u = np.hypot(line_u, np.abs(line) * first_u / np.abs(first))
-        swing_u[kept, number] = (relative_u * np.abs(turn) / dc)[~cut]
+        swing_u[kept, number] = (line_u * np.abs(turn) / dc)[~cut]
         over[kept, number] = (np.abs(first) / dc)[~cut]
-    return BeamModulation(swing, swing_u, over, flags)
+    return BeamModulation(swing, swing_u, phase_u, over, flags)
 
 
 def _problem(line: Complexes, line_u: Floats, level: float, cut: Bools) -> BeamsFlag | None:

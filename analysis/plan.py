@@ -429,7 +429,7 @@ def expected_beams_u(
     )
     used = UsedRecords(records, np.ones(rate.size, dtype=bool), np.zeros(rate.size), "beat")
     there = np.where(np.arange(2) < beams, noise[:, np.newaxis], np.nan)
-    swings = BeamModulation(np.ones(there.shape, dtype=np.complex128), there, np.ones(there.shape), 0)
+    swings = BeamModulation(np.ones(there.shape, dtype=np.complex128), there, noise, np.ones(there.shape), 0)
     data = beams_data(gather(used), swings, known, receiver)
     rng, us = np.random.default_rng(_SEED), list[float]()
     for _ in range(_DRAWS):

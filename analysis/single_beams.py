@@ -56,6 +56,7 @@ from analysis.several_rates.laser_fit import (
     rates_weight,
     search,
     solutions,
+    whitened,
 )
 from analysis.several_rates.points import Points, gather, with_noise
 from analysis.several_rates.ratio_model import SENSES, RatioData
@@ -254,7 +255,7 @@ def fit_beams(
         corrected_frequency=corrected,
         corrected_frequency_u=corrected_u,
         modulation=np.where(data.swing_weight > 0, data.swing, np.nan),
-        modulation_u=1 / np.maximum(data.swing_weight, 1e-300),
+        modulation_u=np.hypot(1 / np.maximum(data.swing_weight, 1e-300), (np.abs(data.swing).T * data.phase_u).T),
         fitted=best.model.predicted(best.parameters[np.newaxis])[2][0],
         push=push,
         routes=routes,
@@ -273,7 +274,7 @@ _BESIDE |= {"phase_between_senses": BETWEEN}
 
 def beams_data(points: Points, swings: BeamModulation, known: BeamsKnowledge, bench: BenchKnowledge) -> LaserData:
     """The points with the beams of their records, and what is known of everything beforehand."""
-    swing, weight, over = _swings(points, swings)
+    swing, weight, phase_u, over = _swings(points, swings)
     if not weight.any():
         raise NoFit("no record with a single beam that could be used")
     rate_weight, beat_u = rates_weight(points, known.rate_u)
@@ -283,34 +284,40 @@ def beams_data(points: Points, swings: BeamModulation, known: BeamsKnowledge, be
     for part in (LEVEL, CROSSTALK, OTHER_BEAM, DELAY):
         sd[part] *= weight.any(axis=0)
     sd[[SCALE, BIAS]] *= rate_weight.any()
-    return LaserData(points, swing, weight, over, rate_weight, beat_u, mean, sd, known.ac_corner_hz)
+    return LaserData(points, swing, weight, phase_u, over, rate_weight, beat_u, mean, sd, known.ac_corner_hz)
 
 
-def _swings(points: Points, modulation: BeamModulation) -> tuple[Complexes, Floats, Floats]:
-    """Mean modulation of the records of each point, the reciprocal of its u, and beat over level, (P, 2)."""
+def _swings(points: Points, modulation: BeamModulation) -> tuple[Complexes, Floats, Floats, Floats]:
+    """Mean modulation of the records of each point, reciprocal of its u, u of the beat's phase, beat over level."""
 
-    def curve_of(numbers: Complexes | Floats, beam: int) -> tuple[Complexes, Floats, int]:
-        weights = np.nan_to_num(modulation.modulation_u[:, beam] ** -2.0)
-        values = np.nan_to_num(numbers[:, beam].astype(np.complex128))
+    def curve_of(numbers: Complexes | Floats, us: Floats) -> tuple[Complexes, Floats, int]:
+        weights, values = np.nan_to_num(us**-2.0), np.nan_to_num(numbers.astype(np.complex128))
         return points.curves((data, weights[rows], values[rows]) for rows, data, _ in points.records.data())
 
-    curves = [curve_of(modulation.modulation, beam) for beam in range(2)]
+    def of_beams(numbers: Complexes | Floats) -> list[tuple[Complexes, Floats, int]]:
+        return [curve_of(numbers[:, beam], modulation.modulation_u[:, beam]) for beam in range(2)]
+
+    curves = of_beams(modulation.modulation)
     total = np.stack([weights for _, weights, _ in curves])
+    phase_weight = curve_of(modulation.phase_u, modulation.phase_u)[1]
     # records of one setting that scatter by more than their noise, about a curve in time: phases may turn
     spread, freedom = 0.0, -2 * sum(fitted for *_, fitted in curves)
     for rows, data, _ in points.records.data():
         some = modulation.take(rows)
         seen = np.stack([points.on_curves(curve, data) for curve, *_ in curves], axis=-1)
-        left = np.abs(some.modulation - seen) / some.modulation_u
-        spread, freedom = spread + float(np.nansum(left**2)), freedom + 2 * int(np.isfinite(left).sum())
+        there = np.isfinite(some.modulation)
+        left, own = np.where(there, some.modulation - seen, 0.0), np.where(there, some.modulation_u**-1.0, 0.0)
+        left = whitened(left, seen, own, np.nan_to_num(some.phase_u))
+        spread, freedom = spread + float(np.sum(np.abs(left) ** 2)), freedom + 2 * int(there.sum())
     unlikely = freedom > 0 and float(scipy.special.chdtrc(freedom, spread)) < UNLIKELY
-    weight = np.sqrt(total) / (math.sqrt(spread / freedom) if unlikely else 1.0)
+    larger = math.sqrt(spread / freedom) if unlikely else 1.0
     # a mean over the times of all records: that of a square is 1
     over, mean = (
         np.stack([curve[:, 0] + curve[:, 2] for curve, *_ in some], axis=-1)
-        for some in ([curve_of(modulation.beat_over_level, beam) for beam in range(2)], curves)
+        for some in (of_beams(modulation.beat_over_level), curves)
     )
-    return mean, weight.T, np.asarray(over.real)
+    phase_u = larger / np.sqrt(np.maximum(phase_weight, 1e-300))
+    return mean, np.sqrt(total.T) / larger, phase_u, np.asarray(over.real)
 
 
 def _beforehand(

@@ -214,6 +214,7 @@ def outcome(rates: tuple[float, ...], seed: int, *, everything: bool = True) -> 
     whole = BeamModulation(
         np.concatenate([one.modulation for one in parts]),
         np.concatenate([one.modulation_u for one in parts]),
+        np.concatenate([one.phase_u for one in parts]),
         np.concatenate([one.beat_over_level for one in parts]),
         int(np.bitwise_or.reduce([one.flags for one in parts])),
     )

@@ -62,6 +62,7 @@ class LaserData:
     points: Points
     swing: Complexes  # (P, 2) modulation of the beams, and the reciprocal of its u, 0 where there is none
     swing_weight: Floats
+    phase_u: Floats  # (P,) of the beat, rad: it turns both beams
     over: Floats  # (P, 2) amplitude of the beat over the level
     rate_weight: Floats  # (P,) reciprocal of the u of each rate, deg/s; 0 where nobody knows it
     beat_u: Floats  # (P,) Hz
@@ -80,6 +81,17 @@ class LaserData:
         values = [self.swing_weight, points.ratio] * 2 + [self.rate_weight, points.third_weight]
         known = int(np.count_nonzero(np.isfinite(self.usual)))
         return sum(int(np.count_nonzero(one)) for one in values) + known - int(np.count_nonzero(np.isinf(self.sd)))
+
+
+def whitened(left: Complexes, swing: Complexes, weight: Floats, phase_u: Floats) -> Complexes:
+    """Differences (..., 2) from the modulation of both beams, along and across it, in standard uncertainties."""
+    turned = left * np.exp(-1j * np.angle(swing)) * weight
+    shared = np.abs(swing) * weight * phase_u[..., np.newaxis]
+    square = np.sum(shared**2, axis=-1, keepdims=True)
+    # root of the inverse of their covariance across: of its unit, and what the phase of the beat adds to both
+    less = shared / (1 + square + np.sqrt(1 + square))
+    across = turned.imag - less * np.sum(shared * turned.imag, axis=-1, keepdims=True)
+    return np.asarray(turned.real + 1j * across)
 
 
 def beforehand(some: RatioData, bench: BenchKnowledge) -> tuple[Floats, Floats]:
@@ -151,7 +163,7 @@ class LaserModel:
         data, some = self.data, self.data.points.points
         ratio, third, swing, sagnac, found = self.predicted(parameters)
         of_ratio, of_third = in_standard_uncertainties(some.ratio - ratio, some.third - third, some)
-        of_swing = (data.swing - swing) * data.swing_weight
+        of_swing = whitened(data.swing - swing, data.swing, data.swing_weight, data.phase_u)
         of_rate = self.of_rate(parameters, sagnac)
         fixed = data.sd > 0
         before = (data.mean - parameters)[:, fixed] / data.sd[fixed]
@@ -594,7 +606,7 @@ def lasers_of_beat(points: Points, starts: Floats, known: Prior, bench: BenchKno
     sd[SCALE], sd[BIAS] = 0.1 * weight.any(), sd[BIAS] * weight.any()  # anything that all rates have in common
     usual, nothing = (half[1], half[0]), np.zeros((weight.size, 2))
     swing = nothing.astype(np.complex128)
-    data = LaserData(points, swing, nothing, nothing, weight, beat_u, mean, sd, 0.0, usual=usual)
+    data = LaserData(points, swing, nothing, 0 * weight, nothing, weight, beat_u, mean, sd, 0.0, usual=usual)
     found = lasers_by_rates(data, lambda data: _looked(data, starts))
     best, sizes = found[0], np.array([one.coupling(1.0)[0] for one in found])
     apart = bool(np.any(np.abs(sizes[:, 0] - sizes[0, 0]) > _APART * sizes[:, 1].max()))

@@ -58,6 +58,7 @@ def _modulation(
     shape = frequency.size, 2
     swing = np.full(shape, np.nan, dtype=np.complex128)
     swing_u, over, flags, found = np.full(shape, np.nan), np.full(shape, np.nan), 0, False
+    phase_u = np.full(frequency.size, np.nan)
     for some in _batches(acquisitions, purposes):
         rows = [one.row for one in some]
         made = beam_modulation(
@@ -70,8 +71,9 @@ def _modulation(
             ac_corner_hz=beams_corner_hz(settings),
         )
         swing[rows], swing_u[rows], over[rows] = made.modulation, made.modulation_u, made.beat_over_level
+        phase_u[rows] = made.phase_u
         flags, found = flags | made.flags, True
-    return BeamModulation(swing, swing_u, over, flags) if found else None
+    return BeamModulation(swing, swing_u, phase_u, over, flags) if found else None
 
 
 def _batches(acquisitions: Iterable[_Acquisition], purposes: Sequence[str]) -> Iterator[list[_Acquisition]]:

@@ -11,10 +11,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from analysis.arrays import Bools, Complexes, Floats, Stacked
-from analysis.harmonics import fit_free_harmonics
+from analysis.waveform.series import step_by_samples
 
 HARMONICS = 8  # that are fitted at once: those left out would leak into the fundamental
-_FADED = 0.7  # share of a signal's power that stands in its lines; less where the rate moves much
+_HIGHEST = 0.45  # of them, cycles a sample
+_FASTEST, _SEEN = 0.5, 6.0  # motion of the phase that is followed: over the beat, and its size over the median
+_PASSES = 3
+_LOST = 0.2  # power beside the lines over that of the fundamental, where the rate moves too much
 _LARGEST = 0.5  # AC over DC of a channel that shows the fringes rather than a beam
 
 
@@ -103,15 +106,16 @@ def beam_modulation(
         np.full(swing.shape, np.nan),
     )
     beating = np.flatnonzero(frequency > 0)
-    first, first_u, in_lines = _line(whole[beating], frequency[beating], sample_interval)
-    steady = in_lines > _FADED
-    rows, first, first_u = beating[steady], first[steady], first_u[steady]
-    flags = 0 if steady.all() else int(BeamsFlag.RECORDS_LEFT_OUT)
+    waves = _waves(whole[beating], sample_interval * frequency[beating])
+    fundamental, fundamental_u, left = _line(whole[beating], waves)
+    followed = np.var(left, axis=-1) < _LOST * np.abs(fundamental) ** 2
+    rows, waves, first, first_u = (one[followed] for one in (beating, waves, fundamental, fundamental_u))
+    flags = 0 if followed.all() else int(BeamsFlag.RECORDS_LEFT_OUT)
     phase_u[rows] = first_u / np.abs(first)
     turn = (1 - 1j * ac_corner_hz / frequency[rows]) * np.abs(first) / first
     for number, volts in enumerate(single):
         cut = np.zeros(rows.size, bool) if clipped is None else np.any(np.asarray(clipped)[number][rows], axis=-1)
-        line, line_u, _ = _line(volts[rows], frequency[rows], sample_interval)
+        line, line_u, _ = _line(volts[rows], waves)
         dc = float(np.broadcast_to(level, len(single))[number])
         if (problem := _problem(line, line_u, dc, cut)) is not None:
             flags |= int(problem)
@@ -134,16 +138,39 @@ def _problem(line: Complexes, line_u: Floats, level: float, cut: Bools) -> Beams
     return BeamsFlag.SHOWS_THE_BEAT if np.median(np.abs(line)) > _LARGEST * level else None
 
 
-def _line(volts: Floats, frequency: Floats, sample_interval: float) -> tuple[Complexes, Floats, Floats]:
-    """Complex amplitude of the fundamental (n,), its u for each part, and the share of the power in all lines."""
-    if not volts.size:
-        return np.zeros(0, dtype=np.complex128), np.zeros(0), np.zeros(0)
+def _waves(volts: Floats, frequency: Floats) -> Complexes:
+    """Fundamental of size 1 (n, n_samples), which follows the phase of beats of some cycles a sample (n,)."""
+    from scipy.fft import dct, idct  # beams are rare
+
+    n, rows = volts.shape[-1], np.arange(len(volts))
+    waves: Complexes = np.exp(2j * np.pi * frequency[:, np.newaxis] * (np.arange(n) - (n - 1) / 2))
+    slow = np.arange(n) < 2 * _FASTEST * n * frequency[:, np.newaxis]
+    for _ in range(_PASSES):
+        line, _, left = _line(volts[rows], waves[rows])
+        # cosines of half periods: a phase need not end as it began
+        moves = dct((2 * left * np.conj(waves[rows]) / line[:, np.newaxis]).imag, norm="ortho")
+        size = np.abs(moves)
+        seen = slow[rows] & (size > _SEEN * np.median(size, axis=-1, keepdims=True))
+        moving = seen.any(axis=-1)
+        rows = rows[moving]
+        if not rows.size:
+            break
+        waves[rows] *= np.exp(1j * idct(np.where(seen, moves, 0.0)[moving], norm="ortho"))
+    return waves
+
+
+def _line(volts: Floats, waves: Complexes) -> tuple[Complexes, Floats, Floats]:
+    """Complex amplitude (n,) of a fundamental (n, n_samples), its u for each part, and what is left."""
     there = np.isfinite(volts)
-    weights, count = None if there.all() else there.astype(np.float64), there.sum(axis=-1)
+    count = there.sum(axis=-1)
     centred = np.where(there, volts - np.nanmean(volts, axis=-1, keepdims=True), 0.0)
-    harmonics = int(np.clip(0.45 / (np.max(frequency) * sample_interval), 1, HARMONICS))
-    omega = 2 * np.pi * sample_interval * frequency
-    _, _, lines, step = fit_free_harmonics(centred, weights, omega, harmonics, iterations=1)
-    noise = np.sqrt(step.residual_power / np.maximum(count - 2 * harmonics - 2, 1))
-    power = np.maximum(np.sum(centred**2, axis=-1), 1e-300)
-    return lines[:, 0], noise * np.sqrt(2 / count), np.sum(np.abs(lines) ** 2, axis=-1) / (2 * power / count)
+    tangents, wave = np.ones((len(volts), 2 * HARMONICS + 1, volts.shape[-1])), np.ones_like(waves)
+    turned = np.abs(np.angle(np.mean(waves[:, 1:] * np.conj(waves[:, :-1]), axis=-1))) / (2 * np.pi)
+    for order in range(1, HARMONICS + 1):
+        wave = wave * waves * (order * turned < _HIGHEST)[:, np.newaxis]
+        tangents[:, 2 * order - 1], tangents[:, 2 * order] = wave.real, -wave.imag
+    tangents *= there[:, np.newaxis]
+    change = step_by_samples(tangents, centred).solve()
+    left = centred - np.matmul(change[:, np.newaxis], tangents)[:, 0]
+    noise = np.sqrt(np.sum(left**2, axis=-1) / np.maximum(count - 2 * HARMONICS - 1, 1))
+    return change[:, 1] + 1j * change[:, 2], noise * np.sqrt(2 / np.maximum(count, 1)), left

@@ -288,7 +288,7 @@ def beams_data(points: Points, swings: BeamModulation, known: BeamsKnowledge, be
 
 
 def _swings(points: Points, modulation: BeamModulation) -> tuple[Complexes, Floats, Floats, Floats]:
-    """Mean modulation of the records of each point, reciprocal of its u, u of the beat's phase, beat over level."""
+    """Mean modulation of the records of each point, 1 over its u, u of the beat's phase, beat over level."""
 
     def curve_of(numbers: Complexes | Floats, us: Floats) -> tuple[Complexes, Floats, int]:
         weights, values = np.nan_to_num(us**-2.0), np.nan_to_num(numbers.astype(np.complex128))

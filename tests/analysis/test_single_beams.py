@@ -45,13 +45,20 @@ class Bench:
         beams = [dc * one.real for dc, one in zip(LEVELS, (first, second), strict=True)]
         return np.array([beat, *(one + k * beat for one, k in zip(beams, self.crosstalk, strict=True))]), frequency
 
-    def records(self, rate: float, count: int, rng: np.random.Generator) -> tuple[np.ndarray, float]:
-        """Volts (3, count, SAMPLES) as an AC-coupled scope of eight bits gives them, and the sample interval."""
+    def records(
+        self, rate: float, count: int, rng: np.random.Generator, moves: tuple[float, float] = (0.0, 0.0)
+    ) -> tuple[np.ndarray, float]:
+        """Volts (3, count, SAMPLES) as an AC-coupled scope of eight bits gives them, and the sample interval.
+
+        The beat's phase moves by so many rad, so many times in a record.
+        """
         period, frequency = self.channels(rate)
         lines = np.fft.rfft(period) * (2 / period.shape[1])
         lines[:, 0] = 0
         interval = PERIODS / frequency / SAMPLES
         phase = np.arange(SAMPLES) * (PERIODS / SAMPLES) + rng.uniform(0, 1, (count, 1))
+        motion = np.arange(SAMPLES) * (moves[1] / SAMPLES) + rng.uniform(0, 1, (count, 1))
+        phase = phase + moves[0] / (2 * np.pi) * np.sin(2 * np.pi * motion) if any(moves) else phase
         orders = np.flatnonzero(np.abs(lines).max(axis=0) > 1e-7)
         volts = np.array([sum((line[n] * np.exp(2j * np.pi * n * phase)).real for n in orders) for line in lines])
         level = np.abs(volts).max(axis=-1, keepdims=True) / self.levels
@@ -294,8 +301,10 @@ def test_the_modulation_is_known_as_well_as_it_says():
     each = estimate_lock_in(volts[0], interval, scale_factor=K)
     made = beam_modulation(volts[0], volts[1:], interval, beat_frequency=each.beat_frequency, level=LEVELS)
     assert each.beat_frequency == pytest.approx(frequency, rel=1e-4)
-    off = (made.modulation - true) / made.modulation_u
-    assert np.mean(np.abs(off) ** 2) == pytest.approx(2.0, rel=0.25)
+    off = (made.modulation - true) * np.exp(-1j * np.angle(true))
+    assert np.mean((off.real / made.modulation_u) ** 2) == pytest.approx(1.0, rel=0.2)
+    across_u = np.hypot(made.modulation_u, np.abs(true) * made.phase_u[:, np.newaxis])
+    assert np.mean((off.imag / across_u) ** 2) == pytest.approx(1.0, rel=0.2)
     # an AC coupling in front of the beams, taken out
     ac = 1 / (1 - 10j / frequency)
     shifted = volts[1:].copy()
@@ -310,6 +319,26 @@ def test_the_modulation_is_known_as_well_as_it_says():
     )
     assert abs(ac) < 0.999
     assert np.max(np.abs(again.modulation - made.modulation)) < 2e-3 * np.max(np.abs(made.modulation))
+
+
+@pytest.mark.parametrize("moves", [(0.0, 0.0), (0.04, 2.2), (0.4, 1.7), (1.5, 0.6)])
+def test_a_moving_rate_changes_neither_the_size_of_a_swing_nor_what_is_known_of_it(moves):
+    bench, rng = Bench(laser(), crosstalk=(0.0, 0.0)), np.random.default_rng(6)
+    period, frequency = bench.channels(0.06)
+    lines = np.fft.rfft(period)
+    true = 2 * lines[1:, 1] / period.shape[1] / np.array(LEVELS) * np.abs(lines[0, 1]) / lines[0, 1]
+    volts, interval = bench.records(0.06, 40, rng, moves)
+    made = beam_modulation(volts[0], volts[1:], interval, beat_frequency=np.full(40, frequency), level=LEVELS)
+    off = (made.modulation - true) * np.exp(-1j * np.angle(true)) / made.modulation_u
+    assert np.sqrt(np.mean(off.real**2)) == pytest.approx(1.1, abs=0.3)
+    assert np.all(np.abs(off.real.mean(axis=0)) < 0.6)
+    # across it, the phase of the beat is in both
+    shared = np.abs(true) * made.phase_u[:, np.newaxis]
+    assert np.sqrt(np.mean(off.imag**2 / (1 + (shared / made.modulation_u) ** 2))) == pytest.approx(1.1, abs=0.3)
+    assert np.mean(off.imag[:, 0] * off.imag[:, 1]) == pytest.approx(
+        np.mean(shared[:, 0] * shared[:, 1] / made.modulation_u.prod(axis=1)), rel=0.8
+    )
+    assert np.all(made.modulation_u < 3e-4 * np.abs(true) + 3e-4)
 
 
 def test_no_beam_is_no_fit():

@@ -42,6 +42,7 @@ from analysis.several_rates.laser_fit import (
     MOST_BIAS,
     OTHER_BEAM,
     PEDESTAL,
+    POSSIBLE,
     SATURATION_USUAL,
     SCALE,
     SECOND,
@@ -342,21 +343,29 @@ def _beforehand(
 
 def _solutions(data: LaserData) -> list[LaserFit]:
     """The minima that some data allow, the best first, begun where some steps from each start lead."""
-    # with noise that becomes less what is known beforehand leads past narrow valleys
-    model, looked = LaserModel(data), list[tuple[Floats, float]]()
-    for start in _starts(data):
-        end: tuple[Floats, float] | None = start, 0.0
-        for model.softer in _SOFTER:
-            end = end and search(model, end[0], _TRIES)
-        model.softer = 1.0
-        if end is not None:
-            # a whole turn between the senses is half a one of both
-            turns = np.round(end[0][BETWEEN] / (2 * np.pi))
-            end[0][[BETWEEN, 1, 3]] += np.pi * turns * np.array([-2, 1, 1])
-            residual = model.residual(end[0][np.newaxis])[0]
-            looked.append((end[0], float(residual @ residual)))
-    # close to lock-in no solution is found but from those of the last search
-    return solutions(model, sorted(looked, key=lambda one: one[1]))
+    starts, found, none = _starts(data), list[LaserFit](), NoFit()
+    # with noise that becomes less what is known beforehand leads past narrow valleys; or a start is in the one
+    for noise in (_SOFTER, _SOFTER[-1:]):
+        model, looked = LaserModel(data), list[tuple[Floats, float]]()
+        for start in starts:
+            end: tuple[Floats, float] | None = start, 0.0
+            for model.softer in noise:
+                end = end and search(model, end[0], _TRIES)
+            model.softer = 1.0
+            if end is not None:
+                residual = model.residual(end[0][np.newaxis])[0]
+                looked.append((end[0], float(residual @ residual)))
+        # close to lock-in no solution is found but from those of the last search
+        try:
+            found += solutions(model, sorted(looked, key=lambda one: one[1]))
+        except NoFit as error:
+            none = error
+        found.sort(key=lambda one: one.chi_square)
+        if found and not float(scipy.special.chdtrc(max(data.degrees, 1), found[0].chi_square)) < UNLIKELY:
+            break
+    if not found:
+        raise none
+    return [one for one in found if one.chi_square < found[0].chi_square + POSSIBLE]
 
 
 def _starts(data: LaserData) -> list[Floats]:

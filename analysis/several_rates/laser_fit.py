@@ -454,7 +454,11 @@ def search(
     if residual(nowhere)[0] == _FAILED:
         return None
     made = least_squares(residual, nowhere, slope, max_nfev=evaluations, ftol=settled, xtol=_SETTLED, gtol=None)
-    return whole(made.x), 2 * float(made.cost)
+    end = whole(made.x)
+    if turns := round(float(end[BETWEEN]) / (2 * np.pi)):  # one between the senses is half a one of both
+        end[[BETWEEN, FIRST.stop - 1, SECOND.stop - 1]] += np.pi * turns * np.array([-2, 1, 1])
+        return search(model, end, evaluations, settled)
+    return end, 2 * float(made.cost)
 
 
 def _jacobian(model: LaserModel, parameters: Floats, free: Indices) -> Floats:

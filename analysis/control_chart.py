@@ -103,19 +103,9 @@ class Trend:
 
 
 def trend(at_days: ArrayLike, values: ArrayLike, u: ArrayLike, of: ArrayLike) -> Trend | None:
-    """Fit one slope to values of one or more things, each with a level of its own.
+    """Slope of values (n,) of one or more things, each with a level of its own; None where nothing tells it.
 
-    What the values scatter beyond their uncertainties is found with it (Paule and Mandel, J. Res. NBS 87, 1982).
-
-    Parameters
-    ----------
-    at_days, values, u, of : (n,)
-        Time, days; value; its standard uncertainty, nan where nobody knows it; what it is of.
-
-    Returns
-    -------
-    Trend or None
-        None where fewer than two more values than levels are there, or all at one time.
+    What they scatter beyond their uncertainties (nan: unknown): Paule and Mandel, J. Res. NBS 87, 1982.
     """
     t, y, known = (np.asarray(one, dtype=np.float64) for one in (at_days, values, u))
     names, which = np.unique(np.asarray(of), return_inverse=True)

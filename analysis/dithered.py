@@ -203,16 +203,8 @@ def dithered_bound(
 ) -> float:
     """Smallest standard uncertainty, deg/s, that one record leaves to any estimator of (2) (Cramér and Rao).
 
-    Parameters
-    ----------
-    coupling : complex
-        WL exp(i b), deg/s.
-    dither : complex
-        Its amplitude in the middle of the record, deg/s: the rate is bias + Re[dither exp(2 pi i f t)] there.
-    sample_interval, n_samples, noise
-        Of the record: s, and the rms of white noise over the amplitude of the beat.
-    bias, start, gain_corner : float, optional
-        deg/s; phase of the beat in the first sample, rad; Hz, of light that follows as in beams that are alike.
+    Coupling WL exp(i b), dither in the middle of the record (complex amplitudes) and bias in deg/s; noise rms over
+    the amplitude of the beat; phase of the beat at the start, rad; gain corner, Hz, of beams that are alike.
     """
     motion, per_rate = _Motion(n_samples, sample_interval, dither_frequency), 2 * math.pi * scale_factor
     swing = np.repeat([dither.real, -dither.imag], len(motion.splines)) * scale_factor

@@ -401,13 +401,6 @@ def expected_beams_u(
 
     Nobody knows the laser beforehand: phase sum 0 to 180 degrees, a2/a1 0.3 to 3, the slowest beat at 0.01 to 3
     gain corners. Rising, (n,): its middle is the median. Neither the scale factor nor other solutions count.
-
-    Parameters
-    ----------
-    shapes, input_rates : (p,)
-        How the records of each visit of a rate (deg/s, signed) are taken, in the order of the run.
-    beams : {1, 2}
-        That are recorded, as large on the screen as the beat.
     """
     known, receiver = knowledge or BeamsKnowledge(), receiver or BenchKnowledge()
     counts = [min(max(shape.records, 2), _MANY) for shape in shapes]  # more say the same with less noise

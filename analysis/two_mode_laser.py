@@ -184,22 +184,11 @@ def _periodic(laser: TwoModeLaser, input_rate: float, start: Floats) -> Floats |
 def periodic_states(
     lasers: Floats, sagnac: Floats, start: Floats, angular: Floats | None = None
 ) -> tuple[Floats, Floats, Bools]:
-    """Periodic solutions of equations (1) of B lasers at once, by Newton's method from a start for each.
+    """Periodic solutions of equations (1) of B lasers (B, 5), a1, a2, eps/2, xi, g, by Newton's method.
 
-    Parameters
-    ----------
-    lasers : (B, 5)
-        a1, a2, eps/2, xi and g of each (rad/s, rad).
-    sagnac : (B,)
-        2 pi K W, rad/s, signed.
-    start : (B, 2, n)
-        ln I1 and ln I2 at n even steps of the phase over one turn, in the order of time; n odd.
-    angular : (B,), optional
-        Beats as they were seen, rad/s: then `sagnac` is where the search for it begins, and only its sense holds.
-
-    Returns
-    -------
-    values (B, 2, n), sagnac (B,), and whether each was found: where the phase stands still none is.
+    It starts at ln I1 and ln I2 (B, 2, n) at n even steps of the phase over one turn, in the order of time, n odd,
+    and at 2 pi K W (B,), signed, of which only the sense holds where beats (B,) were seen, rad/s. It returns both,
+    and whether each was found: where the phase stands still none is.
     """
     values = start
     for _ in range(ROUNDS):

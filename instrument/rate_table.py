@@ -104,19 +104,7 @@ class ManualRateTable:
                 )
 
     def doubt(self, seen: str) -> bool:
-        """Ask the operator again, because the beat does not fit the rate that was confirmed.
-
-        Parameters
-        ----------
-        seen : str
-            What the beat shows, and what it should show.
-
-        Returns
-        -------
-        bool
-            Whether the operator has set the table or its rate right: then it is to be looked at again. If not, the
-            operator has seen that everything is as it was said.
-        """
+        """Ask again because of what the beat shows: whether the operator has set the table or its rate right."""
         question = (
             f"The beat does not fit the table's rate of {self._rate_dps:+.6g} deg/s: {seen}.\n"
             "Look at the table: does it turn at this rate, in this sense, and is its display in deg/s?\n"

@@ -203,21 +203,16 @@ def left_by(series: Series, values: Samples, weights: Samples | None) -> Samples
 
 @dataclass(frozen=True)
 class ResidualReport(Stacked):
-    """flags : (R,); excess : (R, 3) variance factors of frequency, ratio size and ratio phase over white noise;
-    uneven : (R,) where the spectrum is not flat, by lines or by broad humps; mean : (R,) mean power of a line;
-    misfit : (R,) standard uncertainty of the ratio by what is no noise;
-    repeats, stronger, drifting : (R,) for a closer look, where harmonics may be stronger than noise, the same
-    where the noise is white, and where the ratio may drift.
-    """
+    """What the residuals of R records say."""
 
     flags: Ints
-    excess: Floats
-    uneven: Bools
-    mean: Floats
-    misfit: Floats
-    repeats: Bools
-    stronger: Bools
-    drifting: Bools
+    excess: Floats  # (R, 3) variance factors of frequency, ratio size and ratio phase over white noise
+    uneven: Bools  # where the spectrum is not flat, by lines or by broad humps
+    mean: Floats  # power of a line
+    misfit: Floats  # standard uncertainty of the ratio by what is no noise
+    repeats: Bools  # for a closer look: harmonics may be stronger than noise,
+    stronger: Bools  # the same where the noise is white,
+    drifting: Bools  # and the ratio may drift
 
 
 def examine_residual(

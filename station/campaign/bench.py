@@ -90,16 +90,11 @@ def bench_in_use(plan: CampaignPlan) -> Iterator[None]:
     # A simulated bench is a program's own and names none.
     doing = f"campaign {plan.name}, unit {plan.unit}"
     with ExitStack() as claims:
-        for name in dict.fromkeys(name for step in plan.steps for name in _named(step.settings) if name):
+        names = [(step.settings.get(section) or {}).get(name) for step in plan.steps for section, name in _PLACES]
+        names += [one.resource for step in plan.steps for one in controllers_of(step.settings).there.values()]
+        for name in dict.fromkeys(filter(None, names)):
             claims.enter_context(claim(name, doing, means=meant_by(name)))
         yield
-
-
-def _named(settings: Mapping[str, Any]) -> Iterator[str]:
-    for section, name in _PLACES:
-        yield (settings.get(section) or {}).get(name) or ""
-    for controller in controllers_of(settings).there.values():
-        yield controller.resource
 
 
 # --------------------

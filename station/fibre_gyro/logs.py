@@ -29,7 +29,7 @@ from station.fibre_gyro.segments import (
     unusable_segments,
 )
 from station.fibre_gyro.settings import FIBRE_GYRO, FogSettings
-from station.live.preview import Preview, PreviewTrace, PreviewValue, See
+from station.live.preview import Preview, PreviewTrace, PreviewValue
 from station.measurements import Measurement
 from station.results.quantity import Quantities
 from station.results.result import Check, Result, Section, with_uncertainty
@@ -107,7 +107,7 @@ def gyro_measurement(
         sections=sections,
         facts=output_facts,
         quantities=quantities,
-        watch=watch,
+        watch=lambda settings: _seen,
         examine=examine,
         unusable=unusable or (lambda run, settings: unusable_segments(run, settings, purposes or (name,))),
         choices=choices,
@@ -355,11 +355,6 @@ def table_conditions(row: LogRow) -> dict[str, Any]:
 
 
 _POINTS = 240
-
-
-def watch(settings: Any) -> See:
-    """Return what looks at stretches of output as they come, whatever test they are of."""
-    return _seen
 
 
 def _seen(records: Sequence[NewRecord]) -> Preview | None:

@@ -31,7 +31,7 @@ from station.fibre_gyro.common import PPM, beyond_converter, gyro_table
 from station.fibre_gyro.segments import PlannedSegment
 from station.fibre_gyro.settings import FIBRE_GYRO, FogSettings, TestSettings
 from station.fibre_gyro.sniff import read_frame_format
-from station.live.preview import Preview, PreviewTrace, PreviewValue, See, trace_of, waveform_of
+from station.live.preview import Preview, PreviewTrace, PreviewValue, trace_of, waveform_of
 from station.measurements import Measurement
 from station.report.figure import ACCENT, INK, SECOND, SOFT, WIDE, legend_above, svg_element
 from station.results.numbers import TWO_PI_ERROR_PPM, TWO_PI_VOLTAGE
@@ -653,11 +653,6 @@ def facts(found: WitnessEvaluation, run: SavedRun, settings: FogSettings) -> lis
 _RESETS = 3.0  # falls of the staircase that are shown
 
 
-def watch(settings: FogSettings) -> See:
-    """Return what looks at records of `gyrolock fog witness` as they come."""
-    return _WitnessPreview(settings)
-
-
 class _WitnessPreview:
     def __init__(self, settings: FogSettings) -> None:
         self._transit_time = settings.coil.transit_time
@@ -732,5 +727,5 @@ MEASUREMENT = Measurement(
     quantities=QUANTITIES,
     simulated=is_simulated,
     section=WitnessSettings,
-    watch=watch,
+    watch=_WitnessPreview,
 )

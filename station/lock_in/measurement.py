@@ -9,12 +9,12 @@ import numpy as np
 
 from analysis import HarmonicFit, fit_rate_ratios, lock_in_from_beat
 from analysis.arrays import NoFit
-from station.live.preview import Preview, PreviewValue, See, harmonics_of, trace_of_beat, waveform_of
+from station.live.preview import Preview, PreviewValue, harmonics_of, trace_of_beat, waveform_of
 from station.lock_in.evaluate import evaluate_records
 from station.lock_in.quantities import QUANTITIES, record_documents
 from station.lock_in.report import sections
 from station.lock_in.result import fact_tables, result
-from station.lock_in.settings import RING_LASER, Settings
+from station.lock_in.settings import RING_LASER
 from station.lock_in.take import take
 from station.measurements import Measurement
 from station.results.numbers import BEAT_FREQUENCY, LOCK_IN_RATE, RATIO
@@ -31,11 +31,6 @@ from station.runs.store import NewRecord
 
 _SHARE = 0.2  # of the time at most goes into fitting several rates together, which takes a tenth of a second
 _LARGEST = 0.99  # square of a ratio; that of a beat is below 1
-
-
-def watch(settings: Settings) -> See:
-    """Return what looks at records of `gyrolock measure` as they come."""
-    return _LockInPreview(settings.gyro.scale_factor_pulses_per_deg)
 
 
 @dataclass
@@ -170,5 +165,5 @@ MEASUREMENT = Measurement(
     facts=fact_tables,
     rows=lambda found: record_documents(found, "record"),
     examine=lambda settings: examine(settings, settings.table.fast_rate_dps),
-    watch=watch,
+    watch=lambda settings: _LockInPreview(settings.gyro.scale_factor_pulses_per_deg),
 )

@@ -416,7 +416,11 @@ def scale_factor_of_files(config: Path | None, files: Sequence[Path | Source] = 
     if config is not None and (stated := _stated_of_files(config)) is not None:
         return stated
     folders = dict.fromkeys(file.parent for file in files if isinstance(file, Path))
-    beside = {folder: _beside(folder) for folder in folders}
+    files_of = {folder: (folder / SIDE_FILE, folder.parent / SIDE_FILE) for folder in folders}
+    beside = {
+        folder: next((_stated_of_files(one) for one in some if one.is_file()), None)
+        for folder, some in files_of.items()
+    }
     if len(set(beside.values())) > 1:
         first, second = [f"{folder} has {one or 'none'}" for folder, one in beside.items()][:2]
         raise UsageError(f"mixed scale factors: {first}, {second}: give --scale-factor")
@@ -442,13 +446,6 @@ def _stated_of_files(config: Path) -> float | None:
     settings = load_settings(config)
     if SCALE_FACTOR.key() in read_toml(config).get("gyro", {}):
         return settings.gyro.scale_factor_pulses_per_deg
-    return None
-
-
-def _beside(folder: Path) -> float | None:
-    for place in (folder, folder.parent):
-        if (place / SIDE_FILE).is_file():
-            return _stated_of_files(place / SIDE_FILE)
     return None
 
 

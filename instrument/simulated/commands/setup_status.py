@@ -60,7 +60,7 @@ def _recall(state: ScopeState, arguments: tuple[Argument, ...]) -> None:
     number = one_number(arguments, 1, MEMORIES, Guess.MEMORY_NUMBER_OUT_OF_RANGE)
     state.acquisition.settle()
     if number in state.setups:
-        state.panel.recall(state.setups[number])
+        state.panel.values.update(state.setups[number])
         state.acquisition.restart()
     else:
         state.reset()  # a memory never written holds the factory setup

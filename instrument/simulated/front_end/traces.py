@@ -168,11 +168,6 @@ def decode(data: bytes, transfer: Transfer) -> Codes:
     return (raw.view(np.uint8) ^ 0x80).view(np.int8) if transfer.positive else raw.copy()
 
 
-def stored(trace: Trace, codes: Codes) -> Trace:
-    """The same trace with other codes."""
-    return replace(trace, codes=codes)
-
-
 # --------------------
 # The MATH waveform: sum, difference and product of two channels, and the spectrum of one.
 #

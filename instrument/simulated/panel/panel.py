@@ -116,10 +116,6 @@ class Panel:
         """The values that a setup memory keeps."""
         return {key: self.values[key] for key, _ in self._recalled()}
 
-    def recall(self, stored: Mapping[str, Value]) -> None:
-        """Bring back what `stored` gave."""
-        self.values.update(stored)
-
     def _recalled(self) -> Iterator[tuple[str, Row]]:
         return ((key, row) for key, row in self.rows.items() if not row.kept)
 

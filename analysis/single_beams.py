@@ -40,9 +40,11 @@ from analysis.several_rates.laser_fit import (
     LAG,
     LEVEL,
     MOST_BIAS,
+    N_PARAMETERS,
     OTHER_BEAM,
     PEDESTAL,
     POSSIBLE,
+    SATURATION,
     SATURATION_USUAL,
     SCALE,
     SECOND,
@@ -93,6 +95,7 @@ _RECTANGLE = math.sqrt(3.0)
 
 UNLIKELY = 0.001
 _TRIES = 10  # steps of a first look
+_SATURATIONS = (0.1, 0.5, 0.9)
 _SOFTER = (1000.0, 100.0, 10.0)  # times the noise, in a first look
 _NO_LEVEL_U, _FREED_U = 3.0, 0.03  # of the logarithm of an unknown level; of the push taken out of beats, relative
 
@@ -300,7 +303,6 @@ def _swings(points: Points, modulation: BeamModulation) -> tuple[Complexes, Floa
 
     curves = of_beams(modulation.modulation)
     total = np.stack([weights for _, weights, _ in curves])
-    phase_weight = curve_of(modulation.phase_u, modulation.phase_u)[1]
     # records of one setting that scatter by more than their noise, about a curve in time: phases may turn
     spread, freedom = 0.0, -2 * sum(fitted for *_, fitted in curves)
     for rows, data, _ in points.records.data():
@@ -317,7 +319,7 @@ def _swings(points: Points, modulation: BeamModulation) -> tuple[Complexes, Floa
         np.stack([curve[:, 0] + curve[:, 2] for curve, *_ in some], axis=-1)
         for some in (of_beams(modulation.beat_over_level), curves)
     )
-    phase_u = larger / np.sqrt(np.maximum(phase_weight, 1e-300))
+    phase_u = larger / np.sqrt(np.maximum(curve_of(modulation.phase_u, modulation.phase_u)[1], 1e-300))
     return mean, np.sqrt(total.T) / larger, phase_u, np.asarray(over.real)
 
 
@@ -344,7 +346,7 @@ def _beforehand(
 def _solutions(data: LaserData) -> list[LaserFit]:
     """The minima that some data allow, the best first, begun where some steps from each start lead."""
     starts, found, none = _starts(data), list[LaserFit](), NoFit()
-    # with noise that becomes less what is known beforehand leads past narrow valleys; or a start is in the one
+    # with noise that becomes less what is known leads past narrow valleys; else a start, or another saturation
     for noise in (_SOFTER, _SOFTER[-1:]):
         model, looked = LaserModel(data), list[tuple[Floats, float]]()
         for start in starts:
@@ -363,6 +365,8 @@ def _solutions(data: LaserData) -> list[LaserFit]:
         found.sort(key=lambda one: one.chi_square)
         if found and not float(scipy.special.chdtrc(max(data.degrees, 1), found[0].chi_square)) < UNLIKELY:
             break
+        place = np.arange(N_PARAMETERS) == SATURATION
+        starts += [np.where(place, other, one.parameters) for one in found[:1] for other in _SATURATIONS]
     if not found:
         raise none
     return [one for one in found if one.chi_square < found[0].chi_square + POSSIBLE]

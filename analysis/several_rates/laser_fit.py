@@ -345,11 +345,6 @@ class LaserFit:
         freed = math.sqrt(max(size**2 - max(across_u**2 - by_turns, 0.0), 0.0))
         return (freed, u, float(low) * u, float(high) * u), (float(np.angle(whole)), across_u / size)
 
-    def with_backscatter(self, angle: float, logarithm: float) -> Floats:
-        """Its parameters with another angle between the backscatters and another ratio of them."""
-        first, second = (complex(_backscatter(self.parameters[part])) for part in (FIRST, SECOND))
-        return np.concatenate([_backscatters(first + second, angle, logarithm), self.parameters[4:]])
-
     @property
     def degrees(self) -> int:
         """Values less unknowns; one that was known as well beforehand as it is now costs none."""
@@ -621,10 +616,9 @@ def lasers_of_beat(points: Points, starts: Floats, known: Prior, bench: BenchKno
     for place in _PLACES:
         about = place * usual
         part = replace(best.model.data, usual=tuple(width), about=tuple(about))
-        end = search(
-            model := LaserModel(part, near), near.with_backscatter(about[1], about[0]), _OF_PART, _ROUGHLY
-        )
-        if end is not None:
+        coupling = complex(_backscatter(near.parameters[FIRST]) + _backscatter(near.parameters[SECOND]))
+        start = np.concatenate([_backscatters(coupling, about[1], about[0]), near.parameters[4:]])
+        if (end := search(model := LaserModel(part, near), start, _OF_PART, _ROUGHLY)) is not None:
             near = LaserFit.at(model, end[0])
             found.append(replace(near, chi_square=near.chi_square + float(place @ place) / (1 - _PART**2)))
     return sorted(found, key=lambda one: one.chi_square) or [best]

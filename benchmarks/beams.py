@@ -42,7 +42,7 @@ from analysis.single_beams import BeamsKnowledge, fit_beams
 K, WL, SAMPLES, PERIODS, RECORDS = 2000.0, 0.01, 2500, 20, 4
 CROSSTALK, LEVEL_U, AC_HZ, AC_SPREAD, NOISE, FILL, EARTH = 0.01, 0.01, 10.0, 0.2, 0.6, 90, 0.004
 POINTS = 256  # of one period, taken from the integrator
-_SETTLING, _MOST_PERIODS, _LONGEST, _LOCKED = 15.0, 400, 12, 1e-6
+_SETTLING, _MOST_PERIODS, _LONGEST, _LOCKED, _STEADY_LIGHT = 15.0, 400, 12, 1e-6, 1e-7
 
 PLANS: dict[str, tuple[float, ...]] = {
     "3 5 9 17 30, both senses": (3, 5, 9, 17, 30, -30, -17, -9, -5, -3),
@@ -107,7 +107,7 @@ class Bench:
         return bench, base * np.array(rates)
 
     def period(self, rate: float) -> tuple[Complexes, float] | None:
-        """Fields of both beams over one period (2, POINTS), and the beat in Hz; ``None``: locked."""
+        """Fields of both beams over one period (2, POINTS), and the beat in Hz; ``None``: locked or not steady."""
         back, xi = np.exp(-0.5j * self.phase_sum), self.saturation
         sagnac = 2 * math.pi * K * rate
 
@@ -121,20 +121,27 @@ class Bench:
         beat = 2 * math.pi / abs(sagnac)
         settling = min(_SETTLING * (1 + xi) / self.gain / (1 - xi) + 3 * beat, _MOST_PERIODS * beat)
         exact = {"method": "LSODA", "rtol": 1e-9, "atol": 1e-11}  # gain much faster than the beat is stiff
-        start = np.ascontiguousarray(solve_ivp(slope, (0, settling), np.array([1.0, 0, 1, 0]), **exact).y[:, -1])
-        fields, going_on = start.view(np.complex128), slope(0.0, start).view(np.complex128)
-        if abs(np.diff((going_on / fields).imag)[0]) < _LOCKED * abs(sagnac):
-            return None
-        begin = 1j * fields[0] * np.conj(fields[1])  # not where it starts, and rounding passes too
+        start, begin = np.array([1.0, 0, 1, 0]), np.complex128()
 
         def passes(_: float, parts: Floats) -> float:
             y = np.ascontiguousarray(parts).view(np.complex128)
             return float((y[0] * np.conj(y[1]) * np.conj(begin)).imag)
 
         passes.direction = math.copysign(1.0, sagnac)  # type: ignore[attr-defined]  # as scipy asks for it
-        going = solve_ivp(slope, (0, _LONGEST * beat), start, events=passes, dense_output=True, **exact)
-        passed = [float(time) for time in going.t_events[0] if time > 0.1 * beat]
-        if len(passed) < 2:
+        for longer in (1, 4, 16):  # one beam may win over the other much more slowly than its light follows
+            start = np.ascontiguousarray(solve_ivp(slope, (0, longer * settling), start, **exact).y[:, -1])
+            fields, going_on = start.view(np.complex128), slope(0.0, start).view(np.complex128)
+            if abs(np.diff((going_on / fields).imag)[0]) < _LOCKED * abs(sagnac):
+                return None
+            begin = 1j * fields[0] * np.conj(fields[1])  # not where it starts, and rounding passes too
+            going = solve_ivp(slope, (0, _LONGEST * beat), start, events=passes, dense_output=True, **exact)
+            passed = [float(time) for time in going.t_events[0] if time > 0.1 * beat]
+            if len(passed) < 2:
+                return None
+            lights = [np.abs(np.ascontiguousarray(going.sol(time)).view(np.complex128)) for time in passed[:2]]
+            if np.allclose(*lights, rtol=_STEADY_LIGHT):
+                break
+        else:
             return None
         first, length = passed[0], passed[1] - passed[0]
         fields = (

@@ -161,8 +161,7 @@ def _waves(volts: Floats, frequency: Floats) -> Complexes:
 
 def _line(volts: Floats, waves: Complexes) -> tuple[Complexes, Floats, Floats]:
     """Complex amplitude (n,) of a fundamental (n, n_samples), its u for each part, and what is left."""
-    there = np.isfinite(volts)
-    count = there.sum(axis=-1)
+    count = (there := np.isfinite(volts)).sum(axis=-1)
     centred = np.where(there, volts - np.nanmean(volts, axis=-1, keepdims=True), 0.0)
     tangents, wave = np.ones((len(volts), 2 * HARMONICS + 1, volts.shape[-1])), np.ones_like(waves)
     turned = np.abs(np.angle(np.mean(waves[:, 1:] * np.conj(waves[:, :-1]), axis=-1))) / (2 * np.pi)

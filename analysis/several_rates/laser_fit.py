@@ -153,6 +153,7 @@ class LaserModel:
         self.states = np.zeros((some.rate.size, 2, steps))
         self.sagnac = np.sign(some.rate) * some.angular  # what was found last is where the next search begins
         self.solved: Floats | None = None  # lasers (P, 5) that the states solve
+        self.slopes: tuple[object, Floats] = None, np.empty(0)
         self.softer = 1.0  # times as much noise as there is
         if near is not None:
             self.states, self.sagnac = near.model.states, near.model.sagnac
@@ -396,9 +397,8 @@ class LaserFit:
     def corrected(self, widen: float) -> tuple[Floats, Floats]:
         """Beat that each point would have without backscatter, Hz, signed, and its u."""
         steps = _steps(self.model.data)
-        *moved, sagnac = self.model.predicted(
-            np.concatenate([self.parameters + steps, self.parameters[np.newaxis]])
-        )[3]
+        sets = np.concatenate([self.parameters + steps, self.parameters[np.newaxis]])
+        *moved, sagnac = self.model.predicted(sets)[3]
         slopes = (np.array(moved) - sagnac) / np.diagonal(steps)[:, np.newaxis]
         variance = np.einsum("ip,ij,jp->p", slopes, self.covariance, slopes) * widen
         u = np.sqrt(np.maximum(variance, 0.0)) / (2 * np.pi)
@@ -438,7 +438,7 @@ def search(
         return np.asarray(model.residual(whole(step)[np.newaxis])[0])
 
     def slope(step: Floats) -> Floats:
-        slopes = _jacobian(model, whole(step), free)
+        slopes = _jacobian(model, whole(step), free).copy()
         if together:
             second = 1 / (1 + np.exp(-complex(*(first + sizes * step)[2:4])))
             both = np.array([[1, 1j, -second, -1j * second], [1, 1j, 1 - second, 1j - 1j * second]])
@@ -458,9 +458,12 @@ def search(
 
 def _jacobian(model: LaserModel, parameters: Floats, free: Indices) -> Floats:
     """Derivatives of the residuals, (values, free)."""
-    steps = _steps(model.data)[free]
-    both = model.residual(np.concatenate([parameters + steps, parameters[np.newaxis]]))
-    return np.asarray(((both[:-1] - both[-1]) / steps[np.arange(free.size), free][:, np.newaxis]).T)
+    key = (model.softer, parameters.tobytes())
+    if model.slopes[0] != key:  # where a search ends they are known
+        steps = _steps(model.data)[free]
+        both = model.residual(np.concatenate([parameters + steps, parameters[np.newaxis]]))
+        model.slopes = key, ((both[:-1] - both[-1]) / steps[np.arange(free.size), free][:, np.newaxis]).T
+    return model.slopes[1]
 
 
 def solutions(model: LaserModel, looked: list[tuple[Floats, float]]) -> list[LaserFit]:

@@ -57,8 +57,9 @@ class Bench:
         lines[:, 0] = 0
         interval = PERIODS / frequency / SAMPLES
         phase = np.arange(SAMPLES) * (PERIODS / SAMPLES) + rng.uniform(0, 1, (count, 1))
-        motion = np.arange(SAMPLES) * (moves[1] / SAMPLES) + rng.uniform(0, 1, (count, 1))
-        phase = phase + moves[0] / (2 * np.pi) * np.sin(2 * np.pi * motion) if any(moves) else phase
+        if any(moves):
+            motion = np.arange(SAMPLES) * (moves[1] / SAMPLES) + rng.uniform(0, 1, (count, 1))
+            phase = phase + moves[0] / (2 * np.pi) * np.sin(2 * np.pi * motion)
         orders = np.flatnonzero(np.abs(lines).max(axis=0) > 1e-7)
         volts = np.array([sum((line[n] * np.exp(2j * np.pi * n * phase)).real for n in orders) for line in lines])
         level = np.abs(volts).max(axis=-1, keepdims=True) / self.levels
@@ -450,15 +451,8 @@ def test_a_phase_that_may_turn_makes_the_lock_in_rate_no_smaller(rates):
     assert abs(fit.lock_in_rate - WL) < 3.3 * fit.lock_in_rate_u < 0.07 * WL
 
 
-@pytest.mark.parametrize(
-    ("seed", "widest"),
-    # seed 0: one beam shows the beat and is left out, and chi-square rises by 3.4 only from its least to 9 % below
-    [
-        (6, 0.16),
-        *(pytest.param(*one, marks=pytest.mark.slow) for one in ((0, 0.25), (2, 0.16), (5, 0.16), (7, 0.16))),
-    ],
-)
-def test_a_turn_hides_no_other_laser(seed, widest):
+@pytest.mark.parametrize("seed", [6, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (0, 2, 5, 7))])
+def test_a_turn_hides_no_other_laser(seed):
     """One record at each of two rates: a phase that turns and another angle of the coupling look much alike."""
     rng = np.random.default_rng([0, seed])
     spread = (
@@ -477,7 +471,7 @@ def test_a_turn_hides_no_other_laser(seed, widest):
     )
     levels = tuple(rng.normal(size=2) * 0.01)
     fit = fit_beams(*measured(bench, (1.68 * WL, 16.94 * WL), seed=seed, level_error=levels, count=1), KNOWN)
-    assert abs(fit.lock_in_rate - WL) < 3.3 * fit.lock_in_rate_u < widest * WL
+    assert abs(fit.lock_in_rate - WL) < 3.3 * fit.lock_in_rate_u < 0.16 * WL
 
 
 def test_a_fit_keeps_the_least_of_lock_in_rates_that_are_all_too_large():

@@ -15,8 +15,7 @@ from analysis.waveform.series import step_by_samples
 
 HARMONICS = 8  # that are fitted at once: those left out would leak into the fundamental
 _HIGHEST = 0.45  # of them, cycles a sample
-_FASTEST, _SEEN = 0.5, 6.0  # motion of the phase that is followed: over the beat, and its size over the median
-_PASSES = 3
+_FASTEST, _SEEN, _PASSES = 0.5, 6.0, 3  # motion that is followed: over the beat, its size over the median
 _LOST = 0.2  # power beside the lines over that of the fundamental, where the rate moves too much
 _LARGEST = 0.5  # AC over DC of a channel that shows the fringes rather than a beam
 
@@ -100,11 +99,8 @@ def beam_modulation(
         raise ValueError(f"beams must have shape (1 or 2, {whole.shape[0]}, {whole.shape[1]}), not {single.shape}")
     frequency = np.asarray(beat_frequency, dtype=np.float64)
     swing = np.full((len(whole), 2), np.nan, dtype=np.complex128)
-    swing_u, phase_u, over = (
-        np.full(swing.shape, np.nan),
-        np.full(len(whole), np.nan),
-        np.full(swing.shape, np.nan),
-    )
+    swing_u, over = np.full(swing.shape, np.nan), np.full(swing.shape, np.nan)
+    phase_u = np.full(len(whole), np.nan)
     beating = np.flatnonzero(frequency > 0)
     waves = _waves(whole[beating], sample_interval * frequency[beating])
     fundamental, fundamental_u, left = _line(whole[beating], waves)

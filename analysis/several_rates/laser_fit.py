@@ -216,8 +216,8 @@ class LaserModel:
     def _light(self, numbers: Floats) -> _Light:
         """Periodic solutions for the lasers (B, P, 5) of all sets: each different one once."""
         angular = self.data.points.points.angular
-        values, sagnac, found = self.states, self.sagnac, np.array(self.solved is not None)
-        if not found or np.any(numbers[-1] != self.solved):
+        values, sagnac, found = self.states, self.sagnac, np.array(True)
+        if self.solved is None or np.any(numbers[-1] != self.solved):
             values, sagnac, found = _by_degrees(numbers[-1], sagnac, values, angular)
         if found.all():
             self.states, self.sagnac, self.solved = values, sagnac, numbers[-1]
@@ -492,11 +492,13 @@ def solutions(model: LaserModel, looked: list[tuple[Floats, float]]) -> list[Las
             end = end and search(model, end[0], EVALUATIONS, _ROUGHLY)
             found = found if end is None else _with(found, LaserFit.at(model, end[0]))
     least = min(one.chi_square for one in found)
-    possible = (one for one in found if one.chi_square < least + _FAR)
-    ends = ((one, search(one.model, one.parameters, EVALUATIONS)) for one in possible)
-    found = sorted(
-        (LaserFit.at(one.model, end[0]) if end else one for one, end in ends), key=lambda one: one.chi_square
+    ends = (
+        (one, search(one.model, one.parameters, EVALUATIONS)) for one in found if one.chi_square < least + _FAR
     )
+    ended = (LaserFit.at(one.model, end[0]) if end else one for one, end in ends)
+    found = []
+    for one in sorted(ended, key=lambda one: one.chi_square):
+        found = _with(found, one)  # two may have ended at one
     if found[0].chi_square > _HOPELESS * found[0].values:
         raise NoFit("no two-mode laser is near what the records show: is its backscatter too strong for its gain?")
     return [one for one in found if one.chi_square < found[0].chi_square + POSSIBLE]

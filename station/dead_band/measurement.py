@@ -569,17 +569,19 @@ def _rates_table(found: DeadBandEvaluation) -> TextTable:
             records.direction[row],
             f"{records.rate[row]:+.6f}",
             f"{records.table_rate[row]:+.6f}",
-            "locked"
-            if beat[row] == 0
-            else with_uncertainty(float(beat[row]), float(records.beat_u[row]))
-            if math.isfinite(beat[row])
-            else "less than two periods",
+            _beat_text(float(beat[row]), float(records.beat_u[row])),
             with_prefix(float(records.duration[row]), "s"),
             with_prefix(float(records.swing[row]), "V"),
         )
         for row in range(len(records.rate))
     )
     return TextTable(("direction", "axis, deg/s", "table, deg/s", "beat, Hz", "record", "swing"), rows)
+
+
+def _beat_text(beat: float, beat_u: float) -> str:
+    if beat == 0:
+        return "locked"
+    return with_uncertainty(beat, beat_u) if math.isfinite(beat) else "less than two periods"
 
 
 MEASUREMENT = Measurement(

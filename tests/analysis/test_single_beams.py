@@ -474,6 +474,19 @@ def test_a_turn_hides_no_other_laser(seed):
     assert abs(fit.lock_in_rate - WL) < 3.3 * fit.lock_in_rate_u < 0.16 * WL
 
 
+def test_searches_that_end_at_one_minimum_are_one_solution():
+    rng = np.random.default_rng([0, 5])
+    spread = (
+        np.exp(rng.uniform(-0.8, 0.8)),
+        rng.uniform(0, 2.4),
+        np.exp(rng.uniform(-0.5, 2)),
+        rng.uniform(0.3, 0.7),
+    )
+    bench = Bench(laser(*spread), noise=1.5)
+    fit = fit_beams(*measured(bench, (1.68 * WL, 16.94 * WL), seed=5, count=1), KNOWN)
+    assert not fit.flags & BeamsFlag.SEVERAL_SOLUTIONS
+
+
 def test_a_fit_keeps_the_least_of_lock_in_rates_that_are_all_too_large():
     # strongly winking, and close to lock-in: no fit of the beat alone is near
     alone, _ = measured(Bench(laser(2.09, 2.262, 10.5)), (1.1 * WL, 2.53 * WL, -1.65 * WL), count=2)

@@ -529,9 +529,18 @@ def test_whatever_is_bounded_may_be_there_at_once(seed, u):
     assert not found.flags & (BeamsFlag.MISFIT | BeamsFlag.ROUTES_DIFFER)
 
 
-def test_a_whole_turn_between_the_senses_is_none():
-    """The search from every start ends one away."""
-    found = beams.outcome(beams.PLANS["8, both senses"], 6)
+@pytest.mark.parametrize("seed", [6, pytest.param(100_027, marks=pytest.mark.slow)])
+def test_a_whole_turn_between_the_senses_is_none(seed):
+    """The search from every start ends one away, at once or later."""
+    found = beams.outcome(beams.PLANS["8, both senses"], seed)
+    assert found is not None and abs(found.pull) < 3 and not found.flags
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [100_020, 100_094])
+def test_a_misfit_is_looked_at_once_more(seed):
+    """Softened, every start leads into a valley of another saturation, chi-square 150 to 850 above the least."""
+    found = beams.outcome(beams.PLANS["3 30, one sense"], seed)
     assert found is not None and abs(found.pull) < 3 and not found.flags
 
 

@@ -33,10 +33,12 @@ from analysis.several_rates.laser_fit import (
     CORNER,
     CROSSTALK,
     DELAY,
+    DISPERSION,
     DISTORTION,
     DRIFT,
     FIRST,
     GAIN,
+    IMBALANCE,
     LAG,
     LEVEL,
     MOST_BIAS,
@@ -60,6 +62,7 @@ from analysis.several_rates.laser_fit import (
     search,
     solutions,
     whitened,
+    with_usual_gain,
 )
 from analysis.several_rates.points import Points, gather, with_noise
 from analysis.several_rates.ratio_model import SENSES, RatioData
@@ -75,6 +78,7 @@ class BeamsKnowledge:
     level_u: float = math.nan  # relative, of the DC levels
     crosstalk_limit: float = math.nan  # volts in a beam's channel for a volt of the beat, or of the other beam
     ac_corner_hz: float = 0.0  # of the AC coupling that was taken out; 0: there is none
+    imbalance_limit: float = math.nan  # half the difference of both beams in the laser over their mean, at most
     bandwidth_hz: float = math.nan  # lowest corner of the beams' receivers, one pole each
     scale_u: float = math.nan  # relative, of scale factor and rates, common to all settings
     rate_u: float = math.nan  # relative, of each rate by itself: at least, for the records show more
@@ -232,7 +236,9 @@ def fit_beams(
     flags = modulation.flags | int(sum(bit for bit, raised in conditions.items() if raised))
     values, covariance = best.parameters, best.covariance * widen
     us, phase = np.sqrt(np.diagonal(covariance)), best.coupling(widen)[1]
-    first, second = math.exp(values[0]), math.exp(values[2])
+    first, second = np.exp(values[[0, 2]]).tolist()
+    of_sum = np.zeros(N_PARAMETERS)
+    of_sum[[1, 3, DISPERSION]] = -1.0, 1.0, -2.0
     gain, gain_u = float(values[GAIN]), float(us[GAIN])
     corrected, corrected_u = best.corrected(widen)
     return BeamsFit(
@@ -244,8 +250,8 @@ def fit_beams(
         backscatter_1_u=first * float(us[0]),
         backscatter_2=second,
         backscatter_2_u=second * float(us[2]),
-        phase_sum=float(values[3] - values[1]) % (2 * math.pi),
-        phase_sum_u=math.sqrt(max(float(covariance[3, 3] + covariance[1, 1] - 2 * covariance[1, 3]), 0.0)),
+        phase_sum=(values[3] - values[1] - 2 * math.atan(values[DISPERSION])) % (2 * math.pi),
+        phase_sum_u=math.sqrt(max(float(of_sum @ covariance @ of_sum), 0.0)),
         backscatter_phase=phase[0],
         backscatter_phase_u=phase[1],
         gain_rate=math.exp(gain),
@@ -338,6 +344,8 @@ def _beforehand(
     slowest = float(some.angular.min()) / (2 * np.pi)
     bandwidth = lowest_bandwidth(slowest) if math.isnan(known.bandwidth_hz) else known.bandwidth_hz
     mean[DELAY], sd[DELAY] = np.array([1.0, 1 / _RECTANGLE]) / (4 * np.pi * bandwidth)
+    if not math.isnan(known.imbalance_limit):
+        sd[IMBALANCE] = known.imbalance_limit / _RECTANGLE
     sd[CORNER] = CORNER_LIMIT * known.ac_corner_hz / _RECTANGLE
     sd[SCALE] = sd[SCALE] if math.isnan(known.scale_u) else known.scale_u
     return mean, sd
@@ -348,7 +356,7 @@ def _solutions(data: LaserData) -> list[LaserFit]:
     starts, found, none = _starts(data), list[LaserFit](), NoFit()
     # with noise that becomes less what is known leads past narrow valleys; else a start, or another saturation
     for noise in (_SOFTER, _SOFTER[-1:]):
-        model, looked = LaserModel(data), list[tuple[Floats, float]]()
+        model, looked = LaserModel(with_usual_gain(data)), list[tuple[Floats, float]]()
         for start in starts:
             end: tuple[Floats, float] | None = start, 0.0
             for model.softer in noise:
@@ -359,7 +367,7 @@ def _solutions(data: LaserData) -> list[LaserFit]:
                 looked.append((end[0], float(residual @ residual)))
         # close to lock-in no solution is found but from those of the last search
         try:
-            found += solutions(model, sorted(looked, key=lambda one: one[1]))
+            found += solutions(model.of(data), sorted(looked, key=lambda one: one[1]))
         except NoFit as error:
             none = error
         found.sort(key=lambda one: one.chi_square)

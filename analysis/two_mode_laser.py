@@ -1,21 +1,23 @@
 """The beat of a ring laser whose intensities answer to the backscatter ("winking") with finite speed.
 
 Two beams of intensity I1, I2 (1 without backscatter) and beat phase psi obey the semiclassical equations of a
-two-mode ring laser (Aronowitz; Spreeuw et al., Phys. Rev. A 42, 4315 (1990)), here with equal gains:
+two-mode ring laser (Aronowitz; Spreeuw et al., Phys. Rev. A 42, 4315 (1990)):
 
-    d(ln I1)/dt = g [1 - (I1 + xi I2)/(1 + xi)] + 2 a2 sqrt(I2/I1) cos(psi + eps/2)
-    d(ln I2)/dt = g [1 - (I2 + xi I1)/(1 + xi)] + 2 a1 sqrt(I1/I2) cos(psi - eps/2)                    (1)
-    d(psi)/dt   = 2 pi K W - a1 sqrt(I1/I2) sin(psi - eps/2) - a2 sqrt(I2/I1) sin(psi + eps/2)
+    d(ln I1)/dt = G1 + 2 a2 sqrt(I2/I1) cos(psi + eps/2),   G1 = g [J1 (1 - I1) + xi J2 (1 - I2)]/(1 + xi)
+    d(ln I2)/dt = G2 + 2 a1 sqrt(I1/I2) cos(psi - eps/2),   G2 = g [J2 (1 - I2) + xi J1 (1 - I1)]/(1 + xi)   (1)
+    d(psi)/dt   = 2 pi K W + h (G1 - G2)/2 - a1 sqrt(I1/I2) sin(psi - eps/2) - a2 sqrt(I2/I1) sin(psi + eps/2)
 
 g relaxation rate of the common intensity (rad/s; g/2 pi is the gain corner), xi cross over self saturation, a1 and
-a2 backscatter of the beams (rad/s), eps the sum of their phases. With infinite g this is the lock-in equation with
+a2 backscatter of the beams (rad/s), eps the sum of their phases. Beams are unequal by J = 1 +- imbalance, and what
+saturates the gain of a beam turns its frequency by h (dispersion of the gain: pulling off the centre of the line).
+With infinite g this is the lock-in equation with
 
-    2 pi K WL exp(i beta) = a1 exp(-i eps/2) + a2 exp(i eps/2).                                        (2)
+    2 pi K WL exp(i beta) = a1 (1 - i h) exp(-i eps/2) + a2 (1 + i h) exp(i eps/2).                    (2)
 """
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import TypeVar
 
@@ -33,6 +35,7 @@ FEWEST = 33  # points of the phase to begin with; twice as many until the last h
 
 FEWEST_LINES = 16  # on either side of a spectrum to begin with, in the same way
 NEGLIGIBLE_LINE = 1e-13
+NUMBERS = 7  # of a laser
 ROUNDS = 30
 LONGEST_STEP = 0.5
 LAST_HARMONIC = 1e-10  # share by which the first harmonic that is left out would count
@@ -51,26 +54,30 @@ class TwoModeLaser:
     phase_sum: float  # eps, rad
     gain_rate: float  # g, rad/s
     cross_saturation: float  # xi, 0 <= xi < 1
+    beam_imbalance: float = 0.0  # (J1 - J2)/2, J1 + J2 = 2
+    gain_dispersion: float = 0.0  # h
 
     def __post_init__(self) -> None:
-        values = (self.scale_factor, *self.backscatter, self.phase_sum, self.gain_rate, self.cross_saturation)
-        if not all(np.isfinite(values)):
+        if not np.isfinite([self.scale_factor, *self.numbers]).all():
             raise ValueError("every parameter of the laser must be finite")
         if self.scale_factor <= 0 or self.gain_rate <= 0 or min(self.backscatter) < 0:
             raise ValueError("scale_factor and gain_rate must be positive, backscatter must not be negative")
         if not 0 <= self.cross_saturation < 1:
             raise ValueError(f"cross_saturation must be at least 0 and below 1, not {self.cross_saturation!r}")
+        if abs(self.beam_imbalance) >= 1:
+            raise ValueError(f"beam_imbalance must be between -1 and 1, not {self.beam_imbalance!r}")
 
     @property
     def coupling(self) -> complex:
         """Right side of equation (2), rad/s."""
-        a1, a2 = self.backscatter
+        a1, a2 = np.multiply(self.backscatter, 1 + 1j * self.gain_dispersion * np.array([-1.0, 1.0]))
         return complex(a1 * np.exp(-0.5j * self.phase_sum) + a2 * np.exp(0.5j * self.phase_sum))
 
     @property
     def numbers(self) -> Floats:
-        """a1, a2, eps/2, xi and g, (5,)."""
-        return np.array([*self.backscatter, self.phase_sum / 2, self.cross_saturation, self.gain_rate])
+        """a1, a2, eps/2, xi, g, imbalance and h, (`NUMBERS`,)."""
+        of_gain = self.cross_saturation, self.gain_rate, self.beam_imbalance, self.gain_dispersion
+        return np.array([*self.backscatter, self.phase_sum / 2, *of_gain])
 
     @property
     def lock_in_rate(self) -> float:
@@ -91,12 +98,14 @@ def symmetric_laser(
     phase_sum: float = 0.0,
     cross_saturation: float = 0.5,
     backscatter_ratio: float = 1.0,
+    beam_imbalance: float = 0.0,
+    gain_dispersion: float = 0.0,
 ) -> TwoModeLaser:
     """Laser that locks at a given rate (deg/s), its backscatter a2 over a1 1 where nobody says otherwise."""
-    together = abs(np.exp(-0.5j * phase_sum) + backscatter_ratio * np.exp(0.5j * phase_sum))
-    first = float(2 * np.pi * scale_factor * lock_in_rate / together)
-    each = first, backscatter_ratio * first
-    return TwoModeLaser(scale_factor, each, phase_sum, 2 * np.pi * gain_corner_hz, cross_saturation)
+    of_gain = 2 * np.pi * gain_corner_hz, cross_saturation, beam_imbalance, gain_dispersion
+    unit = TwoModeLaser(scale_factor, (1.0, backscatter_ratio), phase_sum, *of_gain)
+    first = lock_in_rate / unit.lock_in_rate
+    return replace(unit, backscatter=(first, backscatter_ratio * first))
 
 
 @dataclass(frozen=True)
@@ -184,7 +193,7 @@ def _periodic(laser: TwoModeLaser, input_rate: float, start: Floats) -> Floats |
 def periodic_states(
     lasers: Floats, sagnac: Floats, start: Floats, angular: Floats | None = None
 ) -> tuple[Floats, Floats, Bools]:
-    """Periodic solutions of equations (1) of B lasers (B, 5), a1, a2, eps/2, xi, g, by Newton's method.
+    """Periodic solutions of equations (1) of B lasers (B, `NUMBERS`), as of a `TwoModeLaser`, by Newton's method.
 
     It starts at ln I1 and ln I2 (B, 2, n) at n even steps of the phase over one turn, in the order of time, n odd,
     and at 2 pi K W (B,), signed, of which only the sense holds where beats (B,) were seen, rad/s. It returns both,
@@ -218,15 +227,15 @@ def steps_of_a_turn(ratios: Complexes) -> tuple[int, int]:
 def states_beside(
     lasers: Floats, known: Floats, sagnac: Floats, values: Floats, angular: Floats
 ) -> tuple[Floats, Floats]:
-    """Values (B P, 2, n) and sagnac (B P,) of B sets of lasers, (B, P, 5), near to one set.
+    """Values (B P, 2, n) and sagnac (B P,) of B sets of lasers, (B, P, `NUMBERS`), near to one set.
 
-    So near to `known` (P, 5), whose solutions and beats (P,) are given, that one step of Newton's will do.
+    So near to `known` (P, `NUMBERS`), whose solutions and beats (P,) are given, that one step of Newton's will do.
     """
     sets = len(lasers)
     slopes = _newton(known, sagnac, values, angular)[1]
     sagnac, values, angular = np.tile(sagnac, sets), np.tile(values, (sets, 1, 1)), np.tile(angular, sets)
     # the slopes are those of the known ones: the same for all that are near to it
-    missing = _newton(lasers.reshape(-1, 5), sagnac, values, angular, slopes=False)[0]
+    missing = _newton(lasers.reshape(-1, NUMBERS), sagnac, values, angular, slopes=False)[0]
     step = np.linalg.solve(slopes, missing.reshape(sets, len(known), -1).transpose(1, 2, 0)).transpose(2, 0, 1)
     return _stepped(values, sagnac, np.asarray(step, np.float64).reshape(missing.shape), angular)
 
@@ -236,10 +245,9 @@ def lines_in_time(lasers: Floats, sagnac: Floats, values: Floats, count: int) ->
 
     A signal x (B, n) at these phases is Re sum c_m exp(i m w t), c_m = sum_k x_k lines_mk; lines (B, count, n).
     """
-    n, (a1, a2, half) = values.shape[-1], lasers.T[:3, :, np.newaxis]
+    n = values.shape[-1]
     psi = np.sign(sagnac)[:, np.newaxis] * _phases(n, 1.0)
-    swap = np.exp((values[:, 0] - values[:, 1]) / 2)
-    speed = sagnac[:, np.newaxis] - a1 * swap * np.sin(psi - half) - a2 / swap * np.sin(psi + half)
+    speed = _motion(lasers, sagnac, psi, values)[0]
     turned, weight = beat_phase(psi, 1 / np.abs(speed))
     powers = np.multiply.accumulate(np.tile(np.exp(-1j * turned), (count, 1, 1)))
     lines = np.asarray(np.moveaxis(powers, 0, 1) * (2 * weight / n)[:, np.newaxis], np.complex128)
@@ -297,14 +305,15 @@ def _motion(
     lasers: Floats, sagnac: Floats, psi: Floats, values: Floats
 ) -> tuple[Floats, Floats, tuple[Floats, Floats], tuple[Floats, Floats]]:
     """d psi/dt (B, n), d ln I/dt (B, 2, n); what each backscatter takes from the first and adds to the second."""
-    a1, a2, half, xi, gain_rate = lasers.T[..., np.newaxis]
+    a1, a2, half, xi, gain_rate, imbalance, dispersion = lasers.T[..., np.newaxis]
     gain = gain_rate / (1 + xi)
-    first, second = np.exp(values).swapaxes(0, 1)
+    first, second = 1 - np.exp(values).swapaxes(0, 1)
+    first, second = gain * (1 + imbalance) * first, gain * (1 - imbalance) * second
     ratio = np.exp((values[:, 0] - values[:, 1]) / 2)
     pull = a1 * ratio * np.sin(psi - half), a2 / ratio * np.sin(psi + half)
     feed = 2 * a2 / ratio * np.cos(psi + half), 2 * a1 * ratio * np.cos(psi - half)
-    speed = sagnac[:, np.newaxis] - pull[0] - pull[1]
-    growth = gain * (1 + xi - first - xi * second) + feed[0], gain * (1 + xi - second - xi * first) + feed[1]
+    speed = sagnac[:, np.newaxis] + dispersion * (1 - xi) / 2 * (first - second) - pull[0] - pull[1]
+    growth = first + xi * second + feed[0], second + xi * first + feed[1]
     return np.asarray(speed), np.stack(growth, axis=1), pull, feed
 
 
@@ -312,13 +321,15 @@ def _slopes(
     lasers: Floats, values: Floats, pull: tuple[Floats, Floats], feed: tuple[Floats, Floats]
 ) -> tuple[Floats, Floats]:
     """Derivatives of what :func:`_motion` gives by the two ln I: (B, 2, n) and (B, 2, 2, n)."""
-    xi, gain_rate = lasers.T[3:, :, np.newaxis]
+    xi, gain_rate, imbalance, dispersion = lasers.T[3:, :, np.newaxis]
     gain = gain_rate / (1 + xi)
     first, second = np.exp(values).swapaxes(0, 1)
-    turned = (pull[1] - pull[0]) / 2
-    by_first = np.stack([-gain * first - feed[0] / 2, -gain * xi * second + feed[0] / 2], axis=1)
-    by_second = np.stack([-gain * xi * first + feed[1] / 2, -gain * second - feed[1] / 2], axis=1)
-    return np.stack([turned, -turned], axis=1), np.stack([by_first, by_second], axis=1)
+    first, second = gain * (1 + imbalance) * first, gain * (1 - imbalance) * second
+    turned, by_gain = (pull[1] - pull[0]) / 2, dispersion * (1 - xi) / 2
+    by_first = np.stack([-first - feed[0] / 2, -xi * second + feed[0] / 2], axis=1)
+    by_second = np.stack([-xi * first + feed[1] / 2, -second - feed[1] / 2], axis=1)
+    speed = np.stack([turned - by_gain * first, by_gain * second - turned], axis=1)
+    return speed, np.stack([by_first, by_second], axis=1)
 
 
 def beat_phase(psi: Floats, slowness: Floats) -> tuple[Floats, Floats]:
@@ -348,6 +359,8 @@ class Winking:
     phase_sum: float = 0.0  # sum of the phases of the backscatter, rad: 0 is the dissipative kind, which locks
     cross_saturation: float = 0.5  # over self saturation
     backscatter_ratio: float = 1.0  # a2 over a1
+    beam_imbalance: float = 0.0
+    gain_dispersion: float = 0.0
 
     def frequency_factor(self, rates: Floats) -> Floats:
         """Beat frequency at rates in deg/s over that of the lock-in equation; all beyond the lock-in rate."""

@@ -1,9 +1,10 @@
 """`python -m benchmarks.beams`: beat and single beams together, on lasers that are integrated in time.
 
 Each bench draws its coupling (phase sum 0 to 180 degrees, a2/a1 0.3 to 3), the gain (slowest beat over its corner
-0.01 to 3), cross saturation, contrast, distortion of second order, levels, crosstalk of -40 dB, and the corner of
-the AC coupling; with `--all` whatever else the fit bounds: what turns and grows over the run and between senses,
-scale and bias of the table's rates, distortion of third order, poles of three receivers.
+0.01 to 3, dispersion up to 0.03), cross saturation, beams unequal by up to 10 %, contrast, distortion of second
+order, levels, crosstalk of -40 dB, and the corner of the AC coupling; with `--all` whatever else
+the fit bounds: what turns and grows over the run and between senses, scale and bias of the table's rates,
+distortion of third order, poles of three receivers.
 The equations of the laser go through time with an integrator of high order. Printed for each plan: how the answer
 with beams and that of the beat alone cover the truth, their pull (rms of error over u), the chance of a uniform
 place of the truth (Kolmogorov and Smirnov), the median u, the median width of the interval with beams over that
@@ -41,6 +42,7 @@ from analysis.single_beams import BeamsKnowledge, fit_beams
 
 K, WL, SAMPLES, PERIODS, RECORDS = 2000.0, 0.01, 2500, 20, 4
 CROSSTALK, LEVEL_U, AC_HZ, AC_SPREAD, NOISE, FILL, EARTH = 0.01, 0.01, 10.0, 0.2, 0.6, 90, 0.004
+IMBALANCE, DISPERSION = 0.05, 0.03
 POINTS = 256  # of one period, taken from the integrator
 _SETTLING, _MOST_PERIODS, _LONGEST, _LOCKED, _STEADY_LIGHT = 15.0, 400, 12, 1e-6, 1e-7
 
@@ -62,6 +64,8 @@ class Bench:
     phase_sum: float
     gain: float  # rad/s
     saturation: float
+    imbalance: float  # of the beams' light
+    dispersion: float  # of the gain
     readout: float
     contrast: float
     distortion: float
@@ -80,7 +84,10 @@ class Bench:
     def drawn(rng: np.random.Generator, rates: tuple[float, ...]) -> tuple[Bench, Floats]:
         """A bench that locks at WL, and the rates at which it is looked at, deg/s."""
         ratio, phase_sum = math.exp(rng.uniform(math.log(0.3), math.log(3))), rng.uniform(0, math.pi)
-        together = abs(np.exp(-0.5j * phase_sum) + ratio * np.exp(0.5j * phase_sum))
+        of_gain = rng.spawn(1)[0]
+        imbalance, dispersion = IMBALANCE * of_gain.uniform(-1, 1), DISPERSION * of_gain.uniform(-1, 1)
+        back = np.exp(0.5j * phase_sum) * (1 + 1j * dispersion)
+        together = abs(np.conj(back) + ratio * back)
         a1 = 2 * math.pi * K * WL / together
         # where little of the coupling locks, rates near WL would be near nothing
         base = WL * max(1.0, 0.35 * (1 + ratio) / together)
@@ -92,6 +99,8 @@ class Bench:
             phase_sum,
             gain,
             rng.uniform(0.1, 0.9),
+            imbalance,
+            dispersion,
             rng.uniform(0, 2 * math.pi),
             rng.uniform(0.5, 1),
             SECOND_ORDER_LIMIT * rng.uniform(-1, 1),
@@ -109,13 +118,13 @@ class Bench:
     def period(self, rate: float) -> tuple[Complexes, float] | None:
         """Fields of both beams over one period (2, POINTS), and the beat in Hz; ``None``: locked or not steady."""
         back, xi = np.exp(-0.5j * self.phase_sum), self.saturation
-        sagnac = 2 * math.pi * K * rate
+        sagnac, light_of = 2 * math.pi * K * rate, 1 + self.imbalance * np.array([1.0, -1.0])
+        saturating = 0.5 * self.gain * (1 + 1j * self.dispersion) / (1 + xi)
 
         def slope(_: float, parts: Floats) -> Floats:
             y = parts.view(np.complex128)
-            lights = (y * np.conj(y)).real
-            growth = 0.5 * self.gain * (1 - (lights + xi * lights[::-1]) / (1 + xi))
-            own = growth + 0.5j * sagnac * np.array([1.0, -1.0])
+            left = light_of * (1 - (y * np.conj(y)).real)
+            own = saturating * (left + xi * left[::-1]) + 0.5j * sagnac * np.array([1.0, -1.0])
             return np.asarray(own * y + np.array([self.a2, self.a1]) * back * y[::-1]).view(np.float64)
 
         beat = 2 * math.pi / abs(sagnac)
@@ -169,7 +178,8 @@ class Bench:
         """Beat and both beams, (3, SAMPLES), at so many turns of the beat."""
         turned = self.between * math.copysign(0.5, rate) + self.turn * when + self.bend * (6 * when**2 - 0.5)
         light, both = np.abs(fields) ** 2, fields[0] * np.conj(fields[1])
-        fringes = (both * np.exp(1j * (self.readout - turned))).imag + (light.mean(axis=0) - 1) / self.contrast
+        single = np.average(light, axis=0, weights=[1 + self.imbalance, 1 - self.imbalance]) - 1
+        fringes = (both * np.exp(1j * (self.readout - turned))).imag + single / self.contrast
         fringes = fringes + 2 * self.distortion * fringes**2 + 4 * self.third_order * fringes**3
         lines: Complexes = np.fft.rfft(np.stack([fringes, *self.levels[:, np.newaxis] * light])) * (2 / POINTS)
         lines[:, 0] = 0

@@ -195,7 +195,8 @@ def _one_period(gyro: Gyro, detector: Detector, point: int, sense: int) -> Float
         fringe, light = gyro.winking.fringe(point, sense), gyro.winking.light(point, sense)
         if detector.beam:
             return detector.volts(fringe, gyro.backscatter_phase, light[detector.beam - 1])
-        mean = light.mean(axis=0)
+        unequal = gyro.winking.beam_imbalance
+        mean = np.average(light, axis=0, weights=[1 + unequal, 1 - unequal])
         pedestal = detector.amplitude * detector.single_beams * (mean - mean.mean())
         return np.asarray(detector.volts(fringe, gyro.backscatter_phase) + pedestal)
     rate = sense * rate_at(point, gyro.lock_in_rate)

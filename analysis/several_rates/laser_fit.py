@@ -28,9 +28,9 @@ from analysis.several_rates.ratio_model import (
     nearest_series,
     prior_of,
 )
-from analysis.two_mode_laser import FEWEST, lines_in_time, periodic_states, states_beside, steps_of_a_turn
+from analysis.two_mode_laser import FEWEST, NUMBERS, lines_in_time, periodic_states, states_beside, steps_of_a_turn
 
-N_PARAMETERS = 25
+N_PARAMETERS = 27
 
 # Both backscatters, turned by the readout phase: complex logarithms of a1 e^(-i eps/2) and a2 e^(i eps/2), rad/s.
 # In logarithms the valleys of chi-square are straight
@@ -47,11 +47,14 @@ LEVEL, CROSSTALK, OTHER_BEAM, DELAY = slice(13, 15), slice(15, 17), slice(17, 19
 CORNER, PEDESTAL = 21, 22
 # of the rates of the table: their common relative error, and a constant (deg/s)
 SCALE, BIAS = 23, 24
+# imbalance of the beams; dispersion of the gain: backscatters are those that lock, with a factor 1 -+ i h
+IMBALANCE, DISPERSION = 25, 26
 
 
-SATURATION_USUAL, _SATURATION_U, _MOST_SATURATION = 0.5, 0.25, 0.95
+SATURATION_USUAL, _SATURATION_U, _MOST_SATURATION, _MOST_IMBALANCE = 0.5, 0.25, 0.95, 0.9
 _GAIN, _GAIN_U = math.log(2 * math.pi * 1000.0), 3.0  # a gain corner of 10 Hz to 100 kHz
 MOST_BIAS = 0.005  # deg/s: the earth rate
+_IMBALANCE, _DISPERSION = 0.05, 0.03  # bounds
 _RECTANGLE = math.sqrt(3.0)
 
 
@@ -83,6 +86,12 @@ class LaserData:
         return sum(int(np.count_nonzero(one)) for one in values) + known - int(np.count_nonzero(np.isinf(self.sd)))
 
 
+def with_usual_gain(data: LaserData) -> LaserData:
+    """Equal beams and no dispersion, for a first look: both fit what another coupling does."""
+    held = np.isin(np.arange(N_PARAMETERS), (IMBALANCE, DISPERSION))
+    return replace(data, sd=np.where(held, 0.0, data.sd))
+
+
 def whitened(left: Complexes, swing: Complexes, weight: Floats, phase_u: Floats) -> Complexes:
     """Differences (..., 2) from the modulation of both beams, along and across it, in standard uncertainties."""
     turned = left * np.exp(-1j * np.angle(swing)) * weight
@@ -111,6 +120,7 @@ def beforehand(some: RatioData, bench: BenchKnowledge) -> tuple[Floats, Floats]:
     mean[SATURATION], sd[SATURATION] = SATURATION_USUAL, _SATURATION_U
     sd[SCALE] = math.hypot(SCALE_FACTOR_LIMIT, TABLE_RATE_LIMIT) / _RECTANGLE
     sd[BIAS] = MOST_BIAS / _RECTANGLE
+    sd[IMBALANCE], sd[DISPERSION] = _IMBALANCE / _RECTANGLE, _DISPERSION / _RECTANGLE
     return mean, sd
 
 
@@ -124,18 +134,26 @@ _DETOUR = (0.3, 0.6, 0.8, 0.9, 1.0)  # of the backscatter, on the way to all of 
 
 
 def _lasers(parameters: Floats, data: LaserData) -> tuple[Floats, Floats]:
-    """Lasers of B sets at P points for :func:`periodic_states`, (B, P, 5), and their readout phases (B, P)."""
+    """Lasers of B sets at P points for :func:`periodic_states`, (B, P, `NUMBERS`), and readout phases (B, P)."""
     some, column = data.points.points, parameters[:, np.newaxis]
     turned = column[..., BETWEEN] * np.sign(some.rate) / 2 + column[..., TURN] * some.when
     turned = turned + column[..., BEND] * (6 * some.when**2 - 0.5)
     grown = np.abs(1 + column[..., DRIFT] * some.when)
-    numbers = np.empty((*grown.shape, 5))
+    numbers, dispersion = np.empty((*grown.shape, NUMBERS)), column[..., DISPERSION]
+    grown /= np.hypot(1.0, dispersion)
     for beam, part in enumerate((FIRST, SECOND)):
         numbers[..., beam] = np.exp(np.clip(column[..., part.start], -30.0, 30.0)) * grown
     first, second = column[..., FIRST.stop - 1], column[..., SECOND.stop - 1]
     half = np.angle(np.exp(1j * (second - first))) / 2
-    numbers[..., 2], numbers[..., 3] = half, np.clip(column[..., SATURATION], 0.0, _MOST_SATURATION)
+    numbers[..., 2], numbers[..., 3] = (
+        half - np.arctan(dispersion),
+        np.clip(column[..., SATURATION], 0.0, _MOST_SATURATION),
+    )
     numbers[..., 4] = np.exp(np.minimum(column[..., GAIN], 30.0))
+    numbers[..., 5], numbers[..., 6] = (
+        np.clip(column[..., IMBALANCE], -_MOST_IMBALANCE, _MOST_IMBALANCE),
+        dispersion,
+    )
     return numbers, -(first + turned + half)
 
 
@@ -152,11 +170,17 @@ class LaserModel:
         steps, self.lines = steps_of_a_turn(some.ratio)
         self.states = np.zeros((some.rate.size, 2, steps))
         self.sagnac = np.sign(some.rate) * some.angular  # what was found last is where the next search begins
-        self.solved: Floats | None = None  # lasers (P, 5) that the states solve
+        self.solved: Floats | None = None  # lasers (P, NUMBERS) that the states solve
         self.slopes: tuple[object, Floats] = None, np.empty(0)
         self.softer = 1.0  # times as much noise as there is
         if near is not None:
             self.states, self.sagnac = near.model.states, near.model.sagnac
+
+    def of(self, data: LaserData) -> LaserModel:
+        """The same of other data of these points, begun at its solutions."""
+        other = copy(self)
+        other.data, other.slopes = data, (None, np.empty(0))
+        return other
 
     @np.errstate(over="ignore", divide="ignore", invalid="ignore")  # where there is no laser it says so
     def residual(self, parameters: Floats) -> Floats:
@@ -214,7 +238,7 @@ class LaserModel:
         return np.conj(w) * turn, third, beams * (np.abs(lines[..., 0]) / lines[..., 0])
 
     def _light(self, numbers: Floats) -> _Light:
-        """Periodic solutions for the lasers (B, P, 5) of all sets: each different one once."""
+        """Periodic solutions for the lasers (B, P, `NUMBERS`) of all sets: each different one once."""
         angular = self.data.points.points.angular
         values, sagnac, found = self.states, self.sagnac, np.array(True)
         if self.solved is None or np.any(numbers[-1] != self.solved):
@@ -226,16 +250,18 @@ class LaserModel:
         which, back = np.append(np.flatnonzero(others), -1), np.where(others, np.cumsum(others) - 1, others.sum())
         if len(which) > 1:
             values, sagnac = states_beside(numbers[which], numbers[-1], sagnac, values, angular)
-        psi, kernel, _ = lines_in_time(numbers[which].reshape(-1, 5), sagnac, values, self.lines)
+        psi, kernel, _ = lines_in_time(numbers[which].reshape(-1, NUMBERS), sagnac, values, self.lines)
         of_set = back[:, np.newaxis] * angular.size + np.arange(angular.size)
         return _Light(psi, np.exp(values), kernel, sagnac, bool(found.all()), of_set)
 
     def _lines(self, parameters: Floats, readout: Floats, light: _Light) -> Complexes:
         """Harmonics (B, P, k, lines) of the beat behind its receiver, over its amplitude."""
         some, at = self.data.points.points, (light.of_set, np.newaxis)
-        pedestal, second, third = (parameters[..., [part]] for part in (PEDESTAL, DISTORTION, THIRD_ORDER))
+        numbers = PEDESTAL, DISTORTION, THIRD_ORDER, IMBALANCE
+        pedestal, second, third, unequal = (parameters[..., [part]] for part in numbers)
         fringes = np.sqrt(light.beams.prod(axis=1))[at] * np.sin(light.psi[at] + readout[..., np.newaxis])
-        signal = fringes = fringes + pedestal * (light.beams.mean(axis=1) - 1)[at]
+        single = light.beams.mean(axis=1)[at] - 1 + unequal / 2 * (light.beams[:, 0] - light.beams[:, 1])[at]
+        signal = fringes = fringes + pedestal * single
         # How much light there is the records say, by the amplitude of the series nearest to what leaves the
         # receiver: the laser gives the shape
         x = some.angular[:, np.newaxis] * parameters[..., LAG]
@@ -271,7 +297,7 @@ def _by_degrees(lasers: Floats, sagnac: Floats, start: Floats, angular: Floats) 
         free = np.sign(sagnac[lost]) * angular[lost]
         some, then = np.zeros_like(start[lost]), free
         for share in _DETOUR:
-            weaker = lasers[lost] * np.array([share, share, 1.0, 1.0, 1.0])
+            weaker = lasers[lost] * np.where(np.arange(NUMBERS) < 2, share, 1.0)
             some, then, there = periodic_states(weaker, then, some, angular[lost])
             some, then = np.where(there[:, np.newaxis, np.newaxis], some, 0.0), np.where(there, then, free)
         values[lost], rates[lost], found[lost] = some, then, there
@@ -603,7 +629,8 @@ _PLACES = np.array([(m, n * way) for m, way in ((0.35, 1), (1.05, -1), (1.75, 1)
 def lasers_of_beat(points: Points, starts: Floats, known: Prior, bench: BenchKnowledge) -> list[LaserFit]:
     """Lasers that harmonics and rates allow, the likeliest first; begun from sets of equation (1) (B, 10)."""
     mean, sd = beforehand(points.points, bench)
-    sd[LEVEL.start : DELAY.stop], sd[[CORNER, PEDESTAL]], sd[BETWEEN : DRIFT + 1] = 0.0, 0.0, known.sd[SENSES:]
+    sd[LEVEL.start : DELAY.stop], sd[BETWEEN : DRIFT + 1] = 0.0, known.sd[SENSES:]
+    sd[[CORNER, PEDESTAL]] = 0.0
     half = np.ptp(BACKSCATTER, axis=0) / 2 / _RECTANGLE
     sd[SATURATION] = half[2]
     weight, beat_u = rates_weight(points, LEAST_U)
@@ -631,7 +658,7 @@ def lasers_of_beat(points: Points, starts: Floats, known: Prior, bench: BenchKno
 
 def _looked(data: LaserData, starts: Floats) -> list[LaserFit]:
     """Lasers that some data allow, begun from several lasers at each of the sets of equation (1)."""
-    model, followed = LaserModel(data), list[tuple[Floats, float]]()
+    model, followed = LaserModel(with_usual_gain(data)), list[tuple[Floats, float]]()
     model.states = model.states[..., :FEWEST]  # enough to look
     for start in starts:
         lasers = (_as_laser(start, angle, logarithm, data) for angle, logarithm in product(_ANGLES, _LOGARITHMS))

@@ -348,6 +348,7 @@ def beams_knowledge(settings: Settings) -> BeamsKnowledge:
         level_u=0.01 * stated.level_u_percent or math.nan,
         crosstalk_limit=_amplitude(stated.crosstalk_limit_db),
         ac_corner_hz=beams_corner_hz(settings),
+        imbalance_limit=0.005 * stated.unequal_limit_percent or math.nan,
         bandwidth_hz=stated.bandwidth_hz or math.nan,
         dead_band=stated.dead_band_dps or math.nan,
         dead_band_u=stated.dead_band_u_dps or _DEAD_BAND_U * stated.dead_band_dps,

@@ -144,6 +144,8 @@ def _gyro(settings: BenchSettings, simulation: SimulationSettings, start_phase: 
             phase_sum=math.radians(added.backscatter_phase_sum_deg),
             cross_saturation=added.cross_saturation,
             backscatter_ratio=added.backscatter_ratio,
+            beam_imbalance=added.beam_imbalance,
+            gain_dispersion=added.gain_dispersion,
         )
     return Gyro(
         scale_factor=scale_factor,

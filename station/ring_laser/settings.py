@@ -43,6 +43,7 @@ class BeamsSettings(SettingsSection):
     level_v: Annotated[tuple[Positive, ...], Field(max_length=2)] = ()
     level_u_percent: NotNegative = 0.0
     crosstalk_limit_db: Annotated[float, Field(ge=-200, le=0)] = 0.0
+    unequal_limit_percent: Annotated[float, Field(ge=0, le=100)] = 0.0
     bandwidth_hz: NotNegative = 0.0
     dead_band_dps: NotNegative = 0.0
     dead_band_u_dps: NotNegative = 0.0
@@ -93,6 +94,8 @@ class ContaminantSettings(SettingsSection):
     cross_saturation: Annotated[float, Field(ge=0, lt=1)] = 0.5
     backscatter_phase_sum_deg: Annotated[float, Field(gt=-170, lt=170)] = 0.0
     backscatter_ratio: Annotated[float, Field(gt=0, le=100)] = 1.0
+    beam_imbalance: Annotated[float, Field(gt=-1, lt=1)] = 0.0
+    gain_dispersion: Annotated[float, Field(ge=-1, le=1)] = 0.0
     single_beams: Annotated[float, Field(ge=0, le=10)] = 0.0
     rate_ripple_dps: NotNegative = 0.0
     rate_ripple_hz: NotNegative = 1.0

@@ -12,7 +12,7 @@ from station.runs.store import open_run
 PLAN = "[measurement]\nrates_over_lock_in = [3, 6, 20]\nboth_senses = true\nrecords = 3\ntilt_records = 2\n"
 LASER = (
     "[simulation.contaminants]\nbackscatter_phase_sum_deg = 70.0\nbackscatter_ratio = 1.7\n"
-    "gain_corner_hz = 300.0\n"
+    "gain_corner_hz = 300.0\nbeam_imbalance = 0.06\ngain_dispersion = -0.01\n"
     "[simulation.beams]\ncrosstalk_db = -50.0\n"
 )
 BAND = "dead_band_dps = 0.012\ndead_band_u_dps = 0.0002\n"
@@ -46,8 +46,8 @@ def test_beams_are_saved_with_their_beat_and_told(taken: Path) -> None:
     assert purposes == ["measure", "beam 1", "beam 2"] * 18
     assert [record.conditions["channel"] for record in run.records[-3:]] == ["CH1", "CH2", "CH3"]
     assert run.facts["beam_levels_v"] == pytest.approx([1.0, 0.8], rel=0.03)
-    # the truth of the simulated laser: WL = |a1 e^(-i eps/2) + a2 e^(i eps/2)|/(2 pi K)
-    together = abs(1 + 1.7 * complex(0.3420201433, 0.9396926208))
+    # the truth of the simulated laser: WL = |a1 (1 - i h) e^(-i eps/2) + a2 (1 + i h) e^(i eps/2)|/(2 pi K)
+    together = abs(complex(1, 0.01) + 1.7 * complex(1, -0.01) * complex(0.3420201433, 0.9396926208))
     beams = said["beams"]
     assert abs(beams["backscatter_1_hz"] - 20 / together) < 4 * beams["backscatter_1_u_hz"]
     assert abs(beams["backscatter_2_hz"] - 34 / together) < 4 * beams["backscatter_2_u_hz"]

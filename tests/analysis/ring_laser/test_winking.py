@@ -1,4 +1,5 @@
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,9 +12,12 @@ from analysis.ring_laser import TwoModeLaser, steady_beat, symmetric_laser
 K = 2000.0
 
 
-@pytest.mark.parametrize(("rate", "phase_sum"), [(0.2, 0.0), (0.2, 1.1), (-0.2, 1.1), (0.1, 2.1)])
-def test_the_steady_beat_is_that_of_the_fields_in_time(rate, phase_sum):
-    laser = TwoModeLaser(K, (200.0, 350.0), phase_sum, 2 * np.pi * 150, 0.6)
+@pytest.mark.parametrize(
+    ("rate", "phase_sum", "unequal", "dispersion"),
+    [(0.2, 0.0, 0, 0), (0.2, 1.1, 0, 0), (-0.2, 1.1, -0.3, 0.2), (0.1, 2.1, 0, 0), (0.2, 0.7, 0.2, -0.3)],
+)
+def test_the_steady_beat_is_that_of_the_fields_in_time(rate, phase_sum, unequal, dispersion):
+    laser = TwoModeLaser(K, (200.0, 350.0), phase_sum, 2 * np.pi * 150, 0.6, unequal, dispersion)
     beat = steady_beat(laser, rate)
     duration, n = 12.3 / beat.frequency, 3000
     first, second = integrated_fields(laser, rate, duration, n)
@@ -46,6 +50,21 @@ def test_a_slow_gain_weakens_the_second_harmonic(slowness, factor):
     assert abs(rho) / harmonic_ratio(0.05) == pytest.approx(factor, abs=5e-4)
     # With fast gain the line of exp(i psi) has the phase i (r - u)/(1 - r u): +90 degrees.
     assert np.angle(rho) - np.pi / 2 == pytest.approx(-np.arctan(slowness), abs=1e-3)
+
+
+def test_dispersion_of_a_fast_gain_is_a_part_of_the_coupling():
+    """It adds i h times the other combination of both backscatters, which alone would not lock."""
+    lock_in, rate = 0.05, 0.2
+    laser = symmetric_laser(
+        lock_in, scale_factor=K, gain_corner_hz=1e6, phase_sum=2.0, backscatter_ratio=1.5, gain_dispersion=0.3
+    )
+    plain = replace(laser, gain_dispersion=0.0)
+    assert abs(plain.lock_in_rate / lock_in - 1) > 0.3
+    beat = steady_beat(laser, rate)
+    middle = beat.beat.size // 2
+    assert beat.frequency == pytest.approx(K * np.sqrt(rate**2 - lock_in**2), rel=2e-5)
+    ratio = abs(beat.beat[middle + 2] / beat.beat[middle + 1])
+    assert ratio == pytest.approx(np.tan(np.arcsin(lock_in / rate) / 2), rel=1e-3)
 
 
 def test_conservative_coupling_pushes_the_frequency_up():

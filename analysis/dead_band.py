@@ -11,6 +11,7 @@ hysteresis is a matter of the corner, a drift shifts them all. So the corner's f
 thresholds, for rates that rise and that fall, and the edges are taken to the middle of the sweep by that drift.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import IntFlag
 from typing import NamedTuple
@@ -19,7 +20,7 @@ import numpy as np
 import scipy.special
 from numpy.typing import ArrayLike
 
-from analysis.arrays import Bools, Floats, Ints
+from analysis.arrays import Bools, Floats, Indices, Ints
 
 # --------------------
 # The corner of the dead band with noise: pulse rate in closed form, and sweeps by integration.
@@ -454,26 +455,29 @@ def _edges(swept: Sweep, least_pulses: int) -> tuple[Floats, Floats, Floats, int
     """|W| of the edge, half the gap it lies in, and its time, (2, 2): positive, negative; rising, falling."""
     edges, halves, when = (np.full((2, 2), np.nan) for _ in range(3))
     flags = 0
+    for branch, rows in _branches(swept):
+        size, time, moving = np.abs(swept.rates[rows]), swept.time[rows], swept.pulses[rows] >= least_pulses
+        if moving.all() or not moving.any():
+            flags |= DeadBandFlag.NO_SILENT_RATE if moving.all() else DeadBandFlag.NO_PULSES
+            continue
+        first = int(np.argmax(moving))
+        if not moving[first:].all():
+            flags |= DeadBandFlag.PULSES_INSIDE
+        # Below the slowest step swept there is nothing but standstill.
+        below = size[first - 1] if first else 0.0
+        edges[branch], halves[branch] = (size[first] + below) / 2, (size[first] - below) / 2
+        when[branch] = (time[first] + time[max(first - 1, 0)]) / 2
+    return edges, halves, when, flags
+
+
+def _branches(swept: Sweep) -> Iterator[tuple[tuple[int, int], Indices]]:
+    """Rows of each branch of two and more, the slowest first: positive, negative; rising, falling."""
     down = falling(swept.rates)
     for k, sense in enumerate((1, -1)):
         for m, direction in enumerate((False, True)):
-            branch = (swept.rates * sense > 0) & (down == direction)
-            if branch.sum() < 2:
-                continue
-            order = np.argsort(np.abs(swept.rates[branch]))
-            size, time = np.abs(swept.rates[branch])[order], swept.time[branch][order]
-            moving = swept.pulses[branch][order] >= least_pulses
-            if moving.all() or not moving.any():
-                flags |= DeadBandFlag.NO_SILENT_RATE if moving.all() else DeadBandFlag.NO_PULSES
-                continue
-            first = int(np.argmax(moving))
-            if not moving[first:].all():
-                flags |= DeadBandFlag.PULSES_INSIDE
-            # Below the slowest step swept there is nothing but standstill.
-            below = size[first - 1] if first else 0.0
-            edges[k, m], halves[k, m] = (size[first] + below) / 2, (size[first] - below) / 2
-            when[k, m] = (time[first] + time[max(first - 1, 0)]) / 2
-    return edges, halves, when, flags
+            rows = np.flatnonzero((swept.rates * sense > 0) & (down == direction))
+            if rows.size > 1:
+                yield (k, m), rows[np.argsort(np.abs(swept.rates[rows]))]
 
 
 class _FromEdges(NamedTuple):
@@ -509,24 +513,18 @@ def _slips_u(swept: Sweep, corner: Corner) -> Floats:
     spread = np.zeros((2, 2))
     if not corner.random_walk > WALK_KNOWN * corner.random_walk_u:
         return spread
-    down = falling(swept.rates)
     slips = swept.dwell * np.abs(
         rounded_pulse_rate(
             swept.rates, scale_factor=swept.scale_factor, lock_in_rate=corner.rate, random_walk=corner.random_walk
         )
     )
-    for k, sense in enumerate((1, -1)):
-        for m, direction in enumerate((False, True)):
-            branch = (swept.rates * sense > 0) & (down == direction)
-            order = np.argsort(np.abs(swept.rates[branch]))
-            size, silent = np.abs(swept.rates[branch])[order], np.exp(-slips[branch][order])
-            if size.size < 2:
-                continue
-            first = (1 - silent) * np.concatenate([[1.0], np.cumprod(silent)[:-1]])
-            edge = (size + np.concatenate([[0.0], size[:-1]])) / 2
-            total = max(float(first.sum()), 1e-300)
-            middle = float(np.sum(first * edge)) / total
-            spread[k, m] = np.sqrt(np.sum(first * (edge - middle) ** 2) / total)
+    for branch, rows in _branches(swept):
+        size, silent = np.abs(swept.rates[rows]), np.exp(-slips[rows])
+        first = (1 - silent) * np.concatenate([[1.0], np.cumprod(silent)[:-1]])
+        edge = (size + np.concatenate([[0.0], size[:-1]])) / 2
+        total = max(float(first.sum()), 1e-300)
+        middle = float(np.sum(first * edge)) / total
+        spread[branch] = np.sqrt(np.sum(first * (edge - middle) ** 2) / total)
     return spread
 
 

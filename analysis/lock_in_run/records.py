@@ -141,24 +141,15 @@ class Method:
     input_rate: float | None = None  # rate on the gyro's axis in deg/s; ``None``: each record is its own reference
     mains_hz: float | None = None  # ``None``: 50 or 60
 
+    def estimate(self, batch: Batch) -> LockInEstimate:
+        """Every record of a batch by itself, from its first channel."""
+        volts, clipped = batch.volts[0], batch.clipped[0]
+        return estimate_lock_in(volts, batch.sample_interval, clipped=clipped, nan_policy="omit", **vars(self))
+
 
 def estimate_records(records: RecordArrays, method: Method) -> LockInEstimate:
     """Estimate each record from its first channel."""
-    parts, rows = [], []
-    for batch in records.batches:
-        estimate = estimate_lock_in(
-            batch.volts[0],
-            batch.sample_interval,
-            scale_factor=method.scale_factor,
-            input_rate=method.input_rate,
-            relation=method.relation,
-            clipped=batch.clipped[0],
-            nan_policy="omit",
-            mains_hz=method.mains_hz,
-        )
-        parts.append(estimate)
-        rows.append(batch.rows)
-    return joined(parts, rows)
+    return joined([method.estimate(batch) for batch in records.batches], [batch.rows for batch in records.batches])
 
 
 def by_themselves(each: LockInEstimate, response: ChannelResponse | None) -> LockInEstimate:

@@ -17,7 +17,6 @@ import itertools
 import re
 import threading
 from collections.abc import Callable, Iterator
-from types import TracebackType
 from typing import Any, Concatenate, ParamSpec, Self, TypeVar, cast, overload
 
 import pyvisa
@@ -190,9 +189,7 @@ class TDS2014:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, _: object, error: BaseException | None, *__: object) -> None:
         if error is not None and not isinstance(error, Exception):
             self._session.hurry()
         try:

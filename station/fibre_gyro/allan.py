@@ -91,12 +91,10 @@ class AllanEvaluation:
 
 def evaluate(run: SavedRun, settings: FogSettings, choices: Mapping[str, Any]) -> AllanEvaluation:
     """Fit the noise model to each record."""
-    found, left_out = [], []
+    found, left_out = [], list[Excluded]()
     for segment in segments_of(run, PURPOSE):
-        try:
+        with Excluded.by_error(segment.key, left_out):
             found.append(_noise_of(segment, settings))
-        except ValueError as error:
-            left_out.append(Excluded(segment.key, str(error)))
     if not found:
         raise NoUsableSignal(f"there is no output at rest to make a noise model of{reasons_of(left_out)}")
     return AllanEvaluation(tuple(found), tuple(left_out))

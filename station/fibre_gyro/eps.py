@@ -86,12 +86,9 @@ def evaluate(run: SavedRun, settings: FogSettings, choices: Mapping[str, Any]) -
     means_of: list[tuple[str, float, WindowMean, WindowMean]] = []
     left_out = not_taken(run)
     for segment in segments_of(run, PURPOSE):
-        try:
+        with Excluded.by_error(segment.key, left_out):
             means = _mean_of(segment, NORMAL), _mean_of(segment, RESET)
-        except ValueError as error:
-            left_out.append(Excluded(segment.key, str(error)))
-            continue
-        means_of.append((segment.key, float(segment.conditions["step_codes"]), *means))
+            means_of.append((segment.key, float(segment.conditions["step_codes"]), *means))
     if len(means_of) < 2:
         raise NoUsableSignal(
             f"the 2 pi error needs two injected steps, there are {len(means_of)}: {reasons_of(left_out, '')}"

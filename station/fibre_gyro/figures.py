@@ -261,17 +261,14 @@ def _one_run(
     for segment in segments:
         length = segment.recording.duration_s
         clock += length
-        try:
+        with Excluded.by_error(segment.key, left_out):
             if segment.conditions["rate_dps"] == 0:
                 mean = window_at_rest(segment, resolution=settings.gyro.output_resolution)
             else:
                 check_table_rate(segment.conditions, settings.table.rate_tolerance_ppm)
                 mean = window_of_any_length(segment, settings, turns=_MANY_TURNS)
-        except ValueError as error:
-            left_out.append(Excluded(segment.key, str(error)))
-            continue
-        remarks += remarks_on(segment, mean)
-        points.append(_Point(segment.key, segment.conditions, mean, clock - length / 2))
+            remarks += remarks_on(segment, mean)
+            points.append(_Point(segment.key, segment.conditions, mean, clock - length / 2))
     turned, static = [p for p in points if p.rate_dps], [p for p in points if not p.rate_dps]
     turned = _with_a_static_output(turned, static, left_out)
     if len({one.rate_dps for one in turned}) < 3 or not static:
@@ -320,7 +317,7 @@ def _turn_on(
     of_scale: TurnOn | None = None
     valid, turning = list[float](), dict[float, tuple[Segment, float]]()
     for segment in segments:
-        try:
+        with Excluded.by_error(segment.key, left_out):
             words, since = words_of(checked(segment)), float(segment.conditions["since_on_s"])
             begin = since + _live_from(words) * segment.recording.interval_s
             valid.append(begin)
@@ -329,19 +326,15 @@ def _turn_on(
             elif bias is None:
                 at, (means,) = _courses([(segment, begin)])
                 bias = turn_on_transient(at, 3600 * means / scale, settings.figures.warm_up_bound_dph)
-        except ValueError as error:
-            left_out.append(Excluded(segment.key, str(error)))
     for rate, (segment, begin) in turning.items():
         back = next((one for one in turning if one * rate < 0), 0.0)
-        try:
+        with Excluded.by_error(segment.key, left_out):
             if not back:
                 raise ValueError("the warm-up of K needs the output from switching on in both senses")
             if of_scale is None:
                 at, (forth_means, back_means) = _courses([(segment, begin), turning[back]])
                 change = PPM * ((forth_means - back_means) / (rate - back) / scale - 1)
                 of_scale = turn_on_transient(at, change, settings.figures.warm_up_bound_ppm)
-        except ValueError as error:
-            left_out.append(Excluded(segment.key, str(error)))
     return bias, of_scale, max(valid, default=math.nan)
 
 

@@ -105,10 +105,8 @@ def evaluate(run: SavedRun, settings: FogSettings, choices: Mapping[str, Any]) -
         raise NoUsableSignal(f"there is output of {axes}, none of the axis {own.axis}: name it as range.axis")
     for segment in segments:
         if OVERLOAD not in segment.conditions:
-            try:
+            with Excluded.by_error(segment.key, left_out):
                 usable.append((segment, window_of_any_length(segment, settings, turns=settings.table.turns)))
-            except ValueError as error:
-                left_out.append(Excluded(segment.key, str(error)))
     rate = np.array([float(one.conditions.get("table_rate_dps", one.conditions["rate_dps"])) for one, _ in usable])
     mean, u = (np.array([getattr(one, name) for _, one in usable]) for name in ("mean", "mean_u"))
     stated = settings.table.irreproducibility_ppm
@@ -123,7 +121,7 @@ def evaluate(run: SavedRun, settings: FogSettings, choices: Mapping[str, Any]) -
     line, least = (found.scale_factor, found.bias), found.least.low_95_dps
     for segment in segments:
         if OVERLOAD in segment.conditions:
-            try:
+            with Excluded.by_error(segment.key, left_out):
                 recording = checked(segment)
                 if TABLE_ANGLE not in recording.extra:
                     raise ValueError(f"an overload needs the angle of the table beside the output, {TABLE_ANGLE}")
@@ -132,8 +130,6 @@ def evaluate(run: SavedRun, settings: FogSettings, choices: Mapping[str, Any]) -
                 bound = own.tolerance_ppm / PPM * least
                 words = words_of(recording)
                 overloads.append((segment.key, recovery(turning, words, recording.interval_s, line, least, bound)))
-            except ValueError as error:
-                left_out.append(Excluded(segment.key, str(error)))
     followed = dict(zip(found.rate_dps.tolist(), found.followed.tolist(), strict=True))
     remarks = [said for (one, window), w in zip(usable, rate, strict=True) if followed[float(w)]
                for said in remarks_on(one, window)]  # fmt: skip

@@ -403,12 +403,9 @@ def _usable(run: SavedRun, settings: FogSettings) -> tuple[list[_Row], list[Excl
         if steps_beyond_dac(step, settings.gyro.dac_bits):
             left_out.append(Excluded(segment.key, beyond_converter(step, settings.gyro.dac_bits)))
             continue
-        try:
+        with Excluded.by_error(segment.key, left_out):
             mean = window_at_rest(segment, resolution=settings.gyro.output_resolution)
-        except ValueError as error:
-            left_out.append(Excluded(segment.key, str(error)))
-            continue
-        rows.append(_Row(segment.key, segment.conditions, mean, begin_s, tuple(remarks_on(segment, mean))))
+            rows.append(_Row(segment.key, segment.conditions, mean, begin_s, tuple(remarks_on(segment, mean))))
     return rows, left_out
 
 

@@ -94,15 +94,12 @@ def evaluate(run: SavedRun, settings: FogSettings, choices: Mapping[str, Any]) -
     left_out, usable = not_taken(run), list[Usable]()
     segments = segments_of(run, PURPOSE)
     for segment, begin in zip(segments, begins_of(segments), strict=True):
-        try:
+        with Excluded.by_error(segment.key, left_out):
             if segment.conditions["rate_dps"]:
                 window = window_of_any_length(segment, settings, turns=settings.table.turns)
             else:
                 window = window_at_rest(segment, resolution=settings.gyro.output_resolution)
-        except ValueError as error:
-            left_out.append(Excluded(segment.key, str(error)))
-            continue
-        usable.append((segment, window, begin + window.duration_s / 2))
+            usable.append((segment, window, begin + window.duration_s / 2))
     bias: StimulusResponse | None = None
     scale: StimulusResponse | None = None
     six: SlopeFit | None = None

@@ -115,10 +115,8 @@ def find_axes(run: SavedRun, settings: FogSettings, choices: Mapping[str, Any] |
     windows: dict[str, tuple[Segment, WindowMean]] = {}
     left_out: list[Excluded] = []
     for segment in segments:
-        try:
+        with Excluded.by_error(segment.key, left_out):
             windows[segment.key] = segment, _window(segment, settings)
-        except ValueError as error:
-            left_out.append(Excluded(segment.key, str(error)))
     axes = dict.fromkeys(segment.conditions["axis"] for segment in segments)
     results = []
     for axis in axes:

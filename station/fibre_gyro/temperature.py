@@ -148,10 +148,8 @@ def evaluate(run: SavedRun, settings: FogSettings, choices: Mapping[str, Any]) -
     found = []
     for axis in dict.fromkeys(_axis(one.segment, settings) for one in segments):
         of_axis = [one for one in segments if _axis(one.segment, settings) == axis]
-        try:
+        with Excluded.by_error(f"axis {axis}", left_out):
             found.append(_one_axis(axis, of_axis, settings, left_out))
-        except ValueError as error:
-            left_out.append(Excluded(f"axis {axis}", str(error)))
     axes = tuple(one for one in found if one.bias or one.scale)
     if not axes:
         raise NoUsableSignal(f"nothing changes with the temperature that could be fitted{reasons_of(left_out)}")
@@ -288,11 +286,8 @@ def timed_segments(run: SavedRun, purpose: str, left_out: list[Excluded]) -> lis
     overlap = any(later[1] < end - _OVERLAP_S for later, end in zip(ordered[1:], ends, strict=False))
     usable = []
     for segment, begin, follows in found if overlap else ordered:
-        try:
+        with Excluded.by_error(segment.key, left_out):
             checked(segment)
-        except ValueError as error:
-            left_out.append(Excluded(segment.key, str(error)))
-        else:
             usable.append(TimedSegment(segment, follows if overlap else begin - ordered[0][1]))
     return usable
 
@@ -405,17 +400,14 @@ def turned_means(
     tilt, means, rows = _own(settings).misalignment_mrad, [], []
     for one in segments:
         conditions = one.segment.conditions
-        try:
+        with Excluded.by_error(one.segment.key, left_out):
             check_table_rate(conditions, settings.table.rate_tolerance_ppm)
             mean = window_of_any_length(one.segment, settings, turns=_MANY_TURNS, tilt_mrad=tilt)
-        except ValueError as error:
-            left_out.append(Excluded(one.segment.key, str(error)))
-            continue
-        remarks += remarks_on(one.segment, mean)
-        means.append(mean)
-        table = float(conditions.get("table_rate_dps", conditions["rate_dps"]))
-        along = int(conditions.get("end_up", 1)) * (table + earth)
-        rows.append((mean.mean, along, one.begin_s + mean.duration_s / 2))
+            remarks += remarks_on(one.segment, mean)
+            means.append(mean)
+            table = float(conditions.get("table_rate_dps", conditions["rate_dps"]))
+            along = int(conditions.get("end_up", 1)) * (table + earth)
+            rows.append((mean.mean, along, one.begin_s + mean.duration_s / 2))
     if not rows:
         return Turned(*(np.empty(0) for _ in range(4)))
     mean_of, rate, at = np.array(rows, dtype=np.float64).T

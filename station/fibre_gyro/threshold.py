@@ -143,10 +143,8 @@ def evaluate(run: SavedRun, settings: FogSettings, choices: Mapping[str, Any]) -
     found = []
     for axis in dict.fromkeys(axis_of(point, settings) for point in points):
         of_axis = [point for point in points if axis_of(point, settings) == axis]
-        try:
+        with Excluded.by_error(f"axis {axis}", left_out):
             found.append(_one_axis(axis, of_axis, settings, left_out))
-        except ValueError as error:
-            left_out.append(Excluded(f"axis {axis}", str(error)))
     if not found:
         raise NoUsableSignal(f"there are no outputs at small rates to find a threshold from{reasons_of(left_out)}")
     return ThresholdEvaluation(tuple(found), tuple(left_out))
@@ -173,12 +171,9 @@ def points_of(run: SavedRun, settings: FogSettings, left_out: list[Excluded]) ->
         conditions = segment.conditions
         table = float(conditions.get("table_rate_dps", conditions["rate_dps"]))
         total = round(int(conditions.get("end_up", 1)) * (table + earth), 12)
-        try:
+        with Excluded.by_error(segment.key, left_out):
             mean = window_at_rest(segment, resolution=settings.gyro.output_resolution)
-        except ValueError as error:
-            left_out.append(Excluded(segment.key, str(error)))
-            continue
-        found.append(Point(segment, mean, clock - length / 2, total))
+            found.append(Point(segment, mean, clock - length / 2, total))
     return found
 
 
@@ -194,10 +189,8 @@ def _one_axis(
     resolution = None
     changes = of_series[RESOLUTION] or (of_series[LADDER] if abs(ladder.reference_dps) > _SAME_INPUT else [])
     if changes:
-        try:
+        with Excluded.by_error(f"resolution of axis {axis}", left_out):
             resolution = series_of(changes, scale, settings, left_out, about_reference=True)
-        except ValueError as error:
-            left_out.append(Excluded(f"resolution of axis {axis}", str(error)))
     remarks = [said for one in points for said in remarks_on(one.segment, one.mean)]
     return AxisThreshold(axis, ladder, resolution, scale, by_design, tuple(remarks))
 

@@ -117,7 +117,7 @@ class ColumnFiles:
     def __init__(self) -> None:
         self.count = 0
         self._files: dict[str, tuple[IO[bytes], np.dtype[Any], tuple[int, ...]]] = {}
-        weakref.finalize(self, _close, self._files)
+        weakref.finalize(self, lambda files: [file.close() for file, _, _ in files.values()], self._files)
 
     def add(self, columns: Mapping[str, NDArray[Any]], count: int) -> None:
         """Add `count` rows (n, ...); a column that has none of them gets nan."""
@@ -164,11 +164,6 @@ class ColumnFiles:
                 values = self.read(name, first, min(_AT_ONCE, self.count - first))
                 found[there] = values[rows[there] - first]
         return found
-
-
-def _close(files: Mapping[str, tuple[IO[bytes], np.dtype[Any], tuple[int, ...]]]) -> None:
-    for file, _, _ in files.values():
-        file.close()
 
 
 ARRAYS = tuple(

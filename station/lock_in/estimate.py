@@ -14,7 +14,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis import LockInEstimate, estimate_lock_in
+from analysis import LockInEstimate
 from analysis.lock_in_run import Batch, Method, joined
 from instrument import InstrumentError, Preamble
 from instrument.scpi import HIGHEST_CODE, NO_DATA
@@ -430,20 +430,6 @@ def _volts(batch: RecordBatch, room: NDArray[np.float64] | None) -> NDArray[np.f
     return volts
 
 
-def estimate_batch(batch: RecordBatch, method: Method, room: NDArray[np.float64] | None = None) -> LockInEstimate:
-    """Estimate every record of a batch by itself."""
-    arrays = batch_arrays(batch, room)
-    return estimate_lock_in(
-        arrays.volts[0],
-        arrays.sample_interval,
-        scale_factor=method.scale_factor,
-        input_rate=method.input_rate,
-        relation=method.relation,
-        clipped=arrays.clipped[0],
-        nan_policy="omit",
-    )
-
-
 def columns_of(estimate: LockInEstimate) -> dict[str, NDArray[Any]]:
     """Return estimates (n,) as columns, units in their names; :func:`estimate_of` is the way back."""
     return {
@@ -510,7 +496,7 @@ class Room:
         room: NDArray[np.float64] | None = getattr(_OF_THREAD, "room", None)
         if room is None or room.shape[1:] != codes.shape[1:] or len(room) < codes.shape[0]:
             room = _OF_THREAD.room = np.empty(codes.shape)
-        estimate = estimate_batch(RecordBatch(codes, preambles), first.wanted.method, room)
+        estimate = first.wanted.method.estimate(batch_arrays(RecordBatch(codes, preambles), room))
         for one in batch:
             rows = np.arange(one.row, one.row + len(one.payloads))
             one.wanted.parts.append((rows, estimate[one.end - rows.size : one.end]))

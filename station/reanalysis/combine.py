@@ -449,9 +449,7 @@ def _stated_of_files(config: Path) -> float | None:
     return None
 
 
-@cache
-def _asked_scale_factor() -> float:
-    return ask_scale_factor()
+_asked_scale_factor = cache(ask_scale_factor)
 
 
 def harmonics_of(waveform: Waveform) -> list[dict[str, float]] | None:

@@ -2,11 +2,12 @@
 
 import math
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, fields, is_dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, Self
 
 import numpy as np
 
@@ -66,6 +67,15 @@ class Excluded:
     def sentence(self) -> str:
         """One line."""
         return f"{self.name} is left out: {self.reason}"
+
+    @classmethod
+    @contextmanager
+    def by_error(cls, name: str, left_out: list[Self]) -> Iterator[None]:
+        """What cannot be used inside goes to `left_out`, with the reason that its error gives."""
+        try:
+            yield
+        except ValueError as error:
+            left_out.append(cls(name, str(error)))
 
 
 @dataclass(frozen=True)

@@ -3,8 +3,10 @@
 import sqlite3
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from analysis import Flag
 from instrument import Preamble
 from station.errors import RunError
 from station.lock_in.estimate import Piece, estimate_pieces
@@ -44,6 +46,23 @@ def test_the_same_records_with_fewer_words(run: Path) -> None:
     assert [record for one in stretches for record in one.records()] == list(saved)
     assert [record for one in stretches_of(saved) for record in one.records()] == list(saved)
     assert [len(one) for one in stretches_of(saved)] == [len(one) for one in stretches]
+
+
+def test_the_mains_that_a_run_states_count_for_its_records(tmp_path: Path) -> None:
+    old, flags = open_run(GOLDEN / "single.sqlite"), []
+    (before,) = estimate_pieces([Piece(GOLDEN / "single.sqlite")])
+    beat = float(np.median(before.each.beat_frequency))
+    for mains in (1.37 * beat, 2 * beat):  # the second stands on every second harmonic
+        site = old.facts.settings["site"] | {"mains_hz": mains}
+        with RunWriter.create(
+            tmp_path, {"command": "measure", "settings": old.facts.settings | {"site": site}}
+        ) as writer:
+            writer.save_records(
+                [NewRecord(one.key, one.purpose, one.header, one.payload, one.conditions) for one in old.records]
+            )
+        (found,) = estimate_pieces([Piece(writer.path)])
+        flags.append((found.each.flags & Flag.MAINS_BESIDE) != 0)
+    assert not flags[0].any() and flags[1].all()
 
 
 def test_what_cannot_be_used_costs_itself_only(run: Path) -> None:

@@ -51,7 +51,7 @@ SCALE, BIAS = 23, 24
 IMBALANCE, DISPERSION = 25, 26
 
 
-SATURATION_USUAL, _SATURATION_U, _MOST_SATURATION, _MOST_IMBALANCE = 0.5, 0.25, 0.95, 0.9
+SATURATION_USUAL, _SATURATION_U, _MOST_SATURATION = 0.5, 0.25, 0.95
 _GAIN, _GAIN_U = math.log(2 * math.pi * 1000.0), 3.0  # a gain corner of 10 Hz to 100 kHz
 MOST_BIAS = 0.005  # deg/s: the earth rate
 _IMBALANCE, _DISPERSION = 0.05, 0.03  # bounds
@@ -88,8 +88,7 @@ class LaserData:
 
 def with_usual_gain(data: LaserData) -> LaserData:
     """Equal beams and no dispersion, for a first look: both fit what another coupling does."""
-    held = np.isin(np.arange(N_PARAMETERS), (IMBALANCE, DISPERSION))
-    return replace(data, sd=np.where(held, 0.0, data.sd))
+    return replace(data, sd=np.where(np.isin(np.arange(N_PARAMETERS), (IMBALANCE, DISPERSION)), 0.0, data.sd))
 
 
 def whitened(left: Complexes, swing: Complexes, weight: Floats, phase_u: Floats) -> Complexes:
@@ -145,15 +144,10 @@ def _lasers(parameters: Floats, data: LaserData) -> tuple[Floats, Floats]:
         numbers[..., beam] = np.exp(np.clip(column[..., part.start], -30.0, 30.0)) * grown
     first, second = column[..., FIRST.stop - 1], column[..., SECOND.stop - 1]
     half = np.angle(np.exp(1j * (second - first))) / 2
-    numbers[..., 2], numbers[..., 3] = (
-        half - np.arctan(dispersion),
-        np.clip(column[..., SATURATION], 0.0, _MOST_SATURATION),
-    )
+    numbers[..., 2] = half - np.arctan(dispersion)
+    numbers[..., 3] = np.clip(column[..., SATURATION], 0.0, _MOST_SATURATION)
     numbers[..., 4] = np.exp(np.minimum(column[..., GAIN], 30.0))
-    numbers[..., 5], numbers[..., 6] = (
-        np.clip(column[..., IMBALANCE], -_MOST_IMBALANCE, _MOST_IMBALANCE),
-        dispersion,
-    )
+    numbers[..., 5], numbers[..., 6] = np.clip(column[..., IMBALANCE], -0.9, 0.9), dispersion
     return numbers, -(first + turned + half)
 
 
@@ -643,17 +637,20 @@ def lasers_of_beat(points: Points, starts: Floats, known: Prior, bench: BenchKno
     apart = bool(np.any(np.abs(sizes[:, 0] - sizes[0, 0]) > _APART * sizes[:, 1].max()))
     if apart or not np.any(best.unequal_u > _BROAD * np.array(usual)):
         return found
-    # What is known beforehand is a sum of narrower bells, each of which has a minimum of its own
-    found, width, near = [], np.array(usual) * _PART, best
-    for place in _PLACES:
-        about = place * usual
-        part = replace(best.model.data, usual=tuple(width), about=tuple(about))
-        coupling = complex(_backscatter(near.parameters[FIRST]) + _backscatter(near.parameters[SECOND]))
-        start = np.concatenate([_backscatters(coupling, about[1], about[0]), near.parameters[4:]])
-        if (end := search(model := LaserModel(part, near), start, _OF_PART, _ROUGHLY)) is not None:
-            near = LaserFit.at(model, end[0])
-            found.append(replace(near, chi_square=near.chi_square + float(place @ place) / (1 - _PART**2)))
-    return sorted(found, key=lambda one: one.chi_square) or [best]
+    # What is known beforehand is a sum of narrower bells, each of which has a minimum of its own in every valley
+    of_places, width = [list[LaserFit]() for _ in _PLACES], np.array(usual) * _PART
+    for near in found:
+        for place, others in zip(_PLACES, of_places, strict=True):
+            about = place * usual
+            part = replace(best.model.data, usual=tuple(width), about=tuple(about))
+            coupling = complex(_backscatter(near.parameters[FIRST]) + _backscatter(near.parameters[SECOND]))
+            start = np.concatenate([_backscatters(coupling, about[1], about[0]), near.parameters[4:]])
+            if (end := search(model := LaserModel(part, near), start, _OF_PART, _ROUGHLY)) is not None:
+                near = LaserFit.at(model, end[0])
+                beside = float(place @ place) / (1 - _PART**2)
+                others[:] = _with(others, replace(near, chi_square=near.chi_square + beside))
+    every = [one for others in of_places for one in others]
+    return sorted(every, key=lambda one: one.chi_square) or [best]
 
 
 def _looked(data: LaserData, starts: Floats) -> list[LaserFit]:

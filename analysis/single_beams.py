@@ -237,8 +237,7 @@ def fit_beams(
     values, covariance = best.parameters, best.covariance * widen
     us, phase = np.sqrt(np.diagonal(covariance)), best.coupling(widen)[1]
     first, second = np.exp(values[[0, 2]]).tolist()
-    of_sum = np.zeros(N_PARAMETERS)
-    of_sum[[1, 3, DISPERSION]] = -1.0, 1.0, -2.0
+    of_sum = np.array([-1.0, 1.0, -2.0]) @ np.eye(N_PARAMETERS)[[1, 3, DISPERSION]]
     gain, gain_u = float(values[GAIN]), float(us[GAIN])
     corrected, corrected_u = best.corrected(widen)
     return BeamsFit(
@@ -250,7 +249,7 @@ def fit_beams(
         backscatter_1_u=first * float(us[0]),
         backscatter_2=second,
         backscatter_2_u=second * float(us[2]),
-        phase_sum=(values[3] - values[1] - 2 * math.atan(values[DISPERSION])) % (2 * math.pi),
+        phase_sum=float(values[3] - values[1] - 2 * math.atan(values[DISPERSION])) % (2 * math.pi),
         phase_sum_u=math.sqrt(max(float(of_sum @ covariance @ of_sum), 0.0)),
         backscatter_phase=phase[0],
         backscatter_phase_u=phase[1],

@@ -83,6 +83,10 @@ def test_analysis_again_gives_the_same(gyrolock, taken: Path) -> None:
     }  # fmt: skip
     assert better["beams"]["routes_chi_square"] > again["beams"]["routes_chi_square"] + 50
     assert "routes_differ" in better["beams"]["flags"]
+    # these beams differ by 12 % in the laser
+    Path(run.parent / "equal.toml").write_text("[beams]\nunequal_limit_percent = 0.1\n")
+    equal = gyrolock("analyze", run, "--config", run.parent / "equal.toml", "--json").document
+    assert "misfit" in equal["beams"]["flags"] and "misfit" not in again["beams"]["flags"]
 
 
 @pytest.mark.slow

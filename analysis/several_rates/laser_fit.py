@@ -623,8 +623,7 @@ _PLACES = np.array([(m, n * way) for m, way in ((0.35, 1), (1.05, -1), (1.75, 1)
 def lasers_of_beat(points: Points, starts: Floats, known: Prior, bench: BenchKnowledge) -> list[LaserFit]:
     """Lasers that harmonics and rates allow, the likeliest first; begun from sets of equation (1) (B, 10)."""
     mean, sd = beforehand(points.points, bench)
-    sd[LEVEL.start : DELAY.stop], sd[BETWEEN : DRIFT + 1] = 0.0, known.sd[SENSES:]
-    sd[[CORNER, PEDESTAL]] = 0.0
+    sd[LEVEL.start : DELAY.stop], sd[[CORNER, PEDESTAL]], sd[BETWEEN : DRIFT + 1] = 0.0, 0.0, known.sd[SENSES:]
     half = np.ptp(BACKSCATTER, axis=0) / 2 / _RECTANGLE
     sd[SATURATION] = half[2]
     weight, beat_u = rates_weight(points, LEAST_U)
@@ -637,20 +636,17 @@ def lasers_of_beat(points: Points, starts: Floats, known: Prior, bench: BenchKno
     apart = bool(np.any(np.abs(sizes[:, 0] - sizes[0, 0]) > _APART * sizes[:, 1].max()))
     if apart or not np.any(best.unequal_u > _BROAD * np.array(usual)):
         return found
-    # What is known beforehand is a sum of narrower bells, each of which has a minimum of its own in every valley
-    of_places, width = [list[LaserFit]() for _ in _PLACES], np.array(usual) * _PART
-    for near in found:
-        for place, others in zip(_PLACES, of_places, strict=True):
-            about = place * usual
-            part = replace(best.model.data, usual=tuple(width), about=tuple(about))
-            coupling = complex(_backscatter(near.parameters[FIRST]) + _backscatter(near.parameters[SECOND]))
-            start = np.concatenate([_backscatters(coupling, about[1], about[0]), near.parameters[4:]])
-            if (end := search(model := LaserModel(part, near), start, _OF_PART, _ROUGHLY)) is not None:
-                near = LaserFit.at(model, end[0])
-                beside = float(place @ place) / (1 - _PART**2)
-                others[:] = _with(others, replace(near, chi_square=near.chi_square + beside))
-    every = [one for others in of_places for one in others]
-    return sorted(every, key=lambda one: one.chi_square) or [best]
+    # What is known beforehand is a sum of narrower bells, each of which has a minimum of its own
+    found, width, near = [], np.array(usual) * _PART, best
+    for place in _PLACES:
+        about = place * usual
+        part = replace(best.model.data, usual=tuple(width), about=tuple(about))
+        coupling = complex(_backscatter(near.parameters[FIRST]) + _backscatter(near.parameters[SECOND]))
+        start = np.concatenate([_backscatters(coupling, about[1], about[0]), near.parameters[4:]])
+        if (end := search(model := LaserModel(part, near), start, _OF_PART, _ROUGHLY)) is not None:
+            near = LaserFit.at(model, end[0])
+            found.append(replace(near, chi_square=near.chi_square + float(place @ place) / (1 - _PART**2)))
+    return sorted(found, key=lambda one: one.chi_square) or [best]
 
 
 def _looked(data: LaserData, starts: Floats) -> list[LaserFit]:

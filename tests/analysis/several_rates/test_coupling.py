@@ -121,8 +121,8 @@ def test_lasers_that_once_were_missed_or_doubted(plan, seed):
     assert abs(found.pull) < 2.6 and found.covered and not found.doubtful
 
 
-def test_two_valleys_of_unequal_beams_count_both():
-    """The stronger beam may be the one or the other; the better of the two was 6.6 u off."""
+def test_the_valley_of_the_other_stronger_beam_is_found():
+    """The stronger beam may be the one or the other; parts begun along slopes stayed in one: 6.6 u off."""
     found = sbc.outcome(sbc.PLANS["one sense"], 1.0, None, 100182)
     assert abs(found.pull) < 2.6 and not found.doubtful
 

@@ -55,7 +55,7 @@ class Stacked:
 
 
 class NoFit(ValueError):
-    """The records do not determine what was to be fitted; the text says what would."""
+    """Records do not determine what was to be fitted, or a laser has no beat; the text says what would."""
 
 
 class NoTilt(ValueError):

@@ -23,7 +23,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from analysis.arrays import Bools, Complexes, Floats, Indices
+from analysis.arrays import Bools, Complexes, Floats, Indices, NoFit
 
 POINTS = 512
 """Of one beat period; harmonics up to half of it, far more than a gyro at 1.05 times its threshold shows."""
@@ -170,7 +170,7 @@ def _path(laser: TwoModeLaser, input_rate: float) -> tuple[Floats, Floats, Float
             sagnac = np.array([2 * np.pi * laser.scale_factor * input_rate])
             speed = _motion(laser.numbers[np.newaxis], sagnac, psi[np.newaxis], logs[np.newaxis])[0][0]
             return psi, logs, 1 / np.abs(speed)
-    raise ValueError(
+    raise NoFit(
         f"the gyro is locked at {input_rate:.6g} deg/s, or its backscatter is too strong for its gain: "
         "there is no steady beat"
     )

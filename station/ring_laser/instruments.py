@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.arrays import NoFit
 from analysis.ring_laser import (
     Detector,
     Dither,
@@ -55,7 +56,11 @@ class TurningTable(SimulatedRateTable):
             return
         self.wait_until_steady()
         if self.when_steady is not None:
-            self.when_steady(self.motion[-1])
+            try:
+                self.when_steady(self.motion[-1])
+            except UsageError:
+                self.motion = before  # the scope must be able to answer until the end
+                raise
 
 
 @dataclass(frozen=True)
@@ -87,6 +92,7 @@ def build_instruments(settings: BenchSettings, clock: Clock, *, times_resumed: i
     detector = _detector(simulation)
     if detector.filtered or gyro.winking is not None:
         table.when_steady = lambda steady: _prepare(gyro, detector, table, steady)
+        table.when_steady(table.motion[-1])
     signals = {settings.scope.channel: _signal(gyro, detector, table, simulation, 0)}
     if settings.dither.on:
         signals = {settings.scope.channel: _dithered(gyro, detector, table, simulation)}
@@ -129,7 +135,11 @@ def build_instruments(settings: BenchSettings, clock: Clock, *, times_resumed: i
 def _prepare(gyro: Gyro, detector: Detector, table: TurningTable, steady: TableMotion) -> None:
     """Work out the beat of a whole turn beforehand: the scope must not keep a program waiting for it."""
     turn_s = 360.0 / max(abs(steady.rate_dps), 1e-3)
-    beat_signal_on_table(gyro, detector, table.motion, steady.start + np.linspace(0.0, turn_s, _TURN_POINTS))
+    try:
+        beat_signal_on_table(gyro, detector, table.motion, steady.start + np.linspace(0.0, turn_s, _TURN_POINTS))
+    except NoFit as error:
+        wrong = f"simulation.contaminants: {error}"
+        raise UsageError(f"{wrong}; set a larger gain_corner_hz or a smaller backscatter_phase_sum_deg") from None
 
 
 def _gyro(settings: BenchSettings, simulation: SimulationSettings, start_phase: float) -> Gyro:
@@ -254,20 +264,14 @@ def open_simulated_bench(
 ) -> Iterator[Bench]:
     """Open the simulated bench: on a clock that jumps instead of waiting, through a real link."""
     instruments = build_instruments(settings, VirtualClock(), times_resumed=times_resumed)
+    clock, truth = instruments.clock, lambda: true_values(instruments)
     with (
         serve(instruments.scope, instruments.link) as resource,
         open_scope(resource, simulated=True) as scope,
         _table(settings, instruments, tell) as table,
         open_surroundings(settings.controllers, tell=tell, simulated=True) as surroundings,
     ):
-        yield Bench(
-            scope,
-            table=table,
-            surroundings=surroundings,
-            sleep=instruments.clock.sleep,
-            now=instruments.clock.now,
-            truth=lambda: true_values(instruments),
-        )
+        yield Bench(scope, table, clock.sleep, truth, clock.now, surroundings)
 
 
 @contextmanager

@@ -2,7 +2,7 @@
 
 Backscatter modulates the two beams at the beat frequency ("winking"). Let C = a1 e^(-i eps/2) + a2 e^(i eps/2) and
 D = a2 e^(i eps/2) - a1 e^(-i eps/2), both turned by the readout phase, and g and g_d the rates at which sum and
-difference of the beams relax. Far above lock-in AC over DC of beams 1 and 2, against the phase of the beat, is
+difference of the beams relax. Far above lock-in AC over DC of equal beams 1 and 2, against the beat's phase, is
 
     m = i C/(g + i w) +- i D/(g_d + i w),     the conjugate of both numerators in the other sense      (1)
 
@@ -343,8 +343,7 @@ def _beforehand(
     slowest = float(some.angular.min()) / (2 * np.pi)
     bandwidth = lowest_bandwidth(slowest) if math.isnan(known.bandwidth_hz) else known.bandwidth_hz
     mean[DELAY], sd[DELAY] = np.array([1.0, 1 / _RECTANGLE]) / (4 * np.pi * bandwidth)
-    if not math.isnan(known.imbalance_limit):
-        sd[IMBALANCE] = known.imbalance_limit / _RECTANGLE
+    sd[IMBALANCE] = sd[IMBALANCE] if math.isnan(known.imbalance_limit) else known.imbalance_limit / _RECTANGLE
     sd[CORNER] = CORNER_LIMIT * known.ac_corner_hz / _RECTANGLE
     sd[SCALE] = sd[SCALE] if math.isnan(known.scale_u) else known.scale_u
     return mean, sd

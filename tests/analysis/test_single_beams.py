@@ -40,7 +40,9 @@ class Bench:
         """One period of beat, beam 1 and beam 2 in volts (3, n), evenly in time, and the beat in Hz."""
         volts, frequency = _period(self.laser, rate)
         field, first, second = volts
-        beat = (field * np.exp(1j * self.readout)).imag + self.pedestal * ((first.real + second.real) / 2 - 1)
+        weights = 1 + self.laser.beam_imbalance * np.array([1, -1])
+        light = np.average([first.real, second.real], axis=0, weights=weights)
+        beat = (field * np.exp(1j * self.readout)).imag + self.pedestal * (light - 1)
         beat = beat + 2 * self.curved * beat**2 + 4 * self.cubic * beat**3
         beams = [dc * one.real for dc, one in zip(LEVELS, (first, second), strict=True)]
         return np.array([beat, *(one + k * beat for one, k in zip(beams, self.crosstalk, strict=True))]), frequency
@@ -182,6 +184,15 @@ def test_unequal_beams_and_a_gain_off_the_centre_of_its_line(unequal, dispersion
     assert abs(fit.phase_sum - 0.9) < 3.3 * fit.phase_sum_u
     if len(rates) > 2:  # a statement that is wrong shows
         assert fit_beams(alone, swing, KNOWN).flags & BeamsFlag.MISFIT
+
+
+def test_the_beat_has_more_light_of_the_stronger_beam():
+    made = replace(laser(1.2, 0.9, 1.5), beam_imbalance=0.4)
+    share = WL / made.lock_in_rate
+    bench = Bench(replace(made, backscatter=tuple(share * one for one in made.backscatter)), pedestal=2.0)
+    fit = fit_beams(*measured(bench, (0.03, 0.1, 0.3, -0.1)), replace(KNOWN, imbalance_limit=0.5))
+    assert abs(fit.lock_in_rate - WL) < 3.3 * fit.lock_in_rate_u < 0.02 * WL
+    assert not fit.flags & BeamsFlag.MISFIT
 
 
 @pytest.mark.slow

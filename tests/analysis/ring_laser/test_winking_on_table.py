@@ -5,10 +5,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from laser_fields import integrated_fields
 from scipy.integrate import solve_ivp
 
 from analysis import fit_harmonics
-from analysis.ring_laser import Detector, Gyro, Winking, beat_signal_on_table
+from analysis.ring_laser import Detector, Gyro, Winking, beat_signal_on_table, symmetric_laser
 from instrument.simulated.controllers import TableMotion
 
 K, LOCK_IN, CORNER, XI, EPS = 2000.0, 0.01, 300.0, 0.6, 1.0
@@ -62,6 +63,21 @@ def test_the_beat_is_that_of_the_integrated_equations(rate: float, single_beams:
     # far from what the lock-in equation alone would give
     plain = beat_signal_on_table(GYRO.without_winking(), detector, (TableMotion(0.0, 0.0, rate),), times)
     assert abs(ratio - seen(plain, step)[1]) > 0.1 * abs(ratio)
+
+
+def test_the_detector_sees_more_of_the_stronger_beam() -> None:
+    """Beams as unequal as none are, against their fields in time."""
+    of, rate, step = {"beam_imbalance": 0.4, "gain_dispersion": 0.1}, 0.2, 1e-5
+    laser = symmetric_laser(
+        LOCK_IN, scale_factor=K, gain_corner_hz=CORNER, phase_sum=EPS, cross_saturation=XI, **of
+    )
+    first, second = integrated_fields(laser, rate, 2500 * step, 2500)
+    light = 0.7 * np.abs(first) ** 2 + 0.3 * np.abs(second) ** 2
+    expected = (first * np.conj(second) * np.exp(0.35j - 0.6j)).imag + 1.2 * light
+    gyro = replace(GYRO, winking=replace(WINKING, **of))
+    turning, times = (TableMotion(0.0, 0.0, rate),), np.arange(2500) * step
+    seen_ratio = seen(beat_signal_on_table(gyro, replace(DETECTOR, single_beams=1.2), turning, times), step)[1]
+    assert abs(seen_ratio - seen(expected, step)[1]) < 1e-5
 
 
 def test_fast_gain_is_the_lock_in_equation_behind_one_pole() -> None:

@@ -73,6 +73,7 @@ def test_flat_clipped_scanned_and_paired_records_have_a_picture(command, bench):
 
 def test_file_of_a_spectrum_has_a_picture(bench):
     bench.set_math("FFT(CH1, HANNING)")
+    bench.acquire(1)  # and stop: the first spectrum has another preamble than what stood there before
     labels, _, up = picture(bench.fetch("MATH"))
     assert labels[3] == "dB"
     assert labels[-1].endswith("Hz")

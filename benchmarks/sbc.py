@@ -79,6 +79,7 @@ WITH_BEAMS = {
     "with beams, both senses": "3 5 9 17 30, both senses",
     "with beams, one sense": "3 5 9 17 30, one sense",
     "with beams, few rates": "3 30, one sense",
+    "with beams, one rate": "8, both senses",
 }
 
 

@@ -134,7 +134,7 @@ Estimate = TypeVar("Estimate")
 
 @dataclass(frozen=True)
 class Method:
-    """How records are turned into a lock-in rate."""
+    """How records are turned into a lock-in rate: the fields are arguments of the estimate."""
 
     scale_factor: float  # k, pulses per degree
     relation: Relation = "exact"  # {"exact", "paper-13", "paper-10"}

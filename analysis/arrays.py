@@ -55,7 +55,7 @@ class Stacked:
 
 
 class NoFit(ValueError):
-    """Records do not determine what was to be fitted, or a laser has no beat; the text says what would."""
+    """Records do not determine what was to be fitted, or a laser has no steady beat; the text says why."""
 
 
 class NoTilt(ValueError):

@@ -118,7 +118,7 @@ class SteadyBeat:
 
 
 def steady_beat(laser: TwoModeLaser, input_rate: float) -> SteadyBeat:
-    """Periodic solution of equations (1) at a constant rate.
+    """Periodic solution of equations (1) at a constant rate; `NoFit` where there is no steady beat.
 
     The phase is the independent variable, and the intensities are periodic in it: their values at even steps over
     one turn follow from Newton's method with the derivative of their Fourier series. Neither slow transients nor a

@@ -55,6 +55,7 @@ from analysis.several_rates.laser_fit import (
     LaserData,
     LaserFit,
     LaserModel,
+    Look,
     beforehand,
     laplace,
     lasers_by_rates,
@@ -100,6 +101,7 @@ _RECTANGLE = math.sqrt(3.0)
 UNLIKELY = 0.001
 _TRIES = 10  # steps of a first look
 _SATURATIONS = (0.1, 0.5, 0.9)
+_HALVED = np.where(np.isin(np.arange(N_PARAMETERS), (FIRST.start, SECOND.start)), math.log(0.5), 0.0)
 _SOFTER = (1000.0, 100.0, 10.0)  # times the noise, in a first look
 _NO_LEVEL_U, _FREED_U = 3.0, 0.03  # of the logarithm of an unknown level; of the push taken out of beats, relative
 
@@ -354,18 +356,20 @@ def _solutions(data: LaserData) -> list[LaserFit]:
     starts, found, none = _starts(data), list[LaserFit](), NoFit()
     # with noise that becomes less what is known leads past narrow valleys; else a start, or another saturation
     for noise in (_SOFTER, _SOFTER[-1:]):
-        model, looked = LaserModel(with_usual_gain(data)), list[tuple[Floats, float]]()
+        looked = list[Look]()
         for start in starts:
-            end: tuple[Floats, float] | None = start, 0.0
-            for model.softer in noise:
+            model = LaserModel(with_usual_gain(data))
+            model.softer, *less = noise
+            # half the backscatter has a steady beat where all of it has none
+            end = search(model, start, _TRIES) or search(model, start + _HALVED, _TRIES)
+            for model.softer in less:
                 end = end and search(model, end[0], _TRIES)
             model.softer = 1.0
             if end is not None:
                 residual = model.residual(end[0][np.newaxis])[0]
-                looked.append((end[0], float(residual @ residual)))
-        # close to lock-in no solution is found but from those of the last search
+                looked.append((model, end[0], float(residual @ residual)))
         try:
-            found += solutions(model.of(data), sorted(looked, key=lambda one: one[1]))
+            found += solutions(data, looked)
         except NoFit as error:
             none = error
         found.sort(key=lambda one: one.chi_square)
@@ -434,7 +438,7 @@ def _routes(fit: RatesFit, data: LaserData, best: LaserFit) -> tuple[Route, ...]
     routes = [Route("harmonics", *own)]
     by_beams = replace(data, harmonics=False, rate_weight=np.zeros_like(data.rate_weight))
     with suppress(NoFit):
-        one = solutions(LaserModel(by_beams, best), [(best.parameters, 0.0)])[0]
+        one = solutions(by_beams, [(best.model, best.parameters, 0.0)])[0]
         routes.append(Route("beams", *(each / scale for each in one.coupling(1.0)[0])))
     if not data.rate_weight.any():
         return tuple(routes)

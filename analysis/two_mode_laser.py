@@ -38,8 +38,8 @@ NEGLIGIBLE_LINE = 1e-13
 NUMBERS = 7  # of a laser
 ROUNDS = 30
 LONGEST_STEP = 0.5
-LAST_HARMONIC = 1e-10  # share by which the first harmonic that is left out would count
-CONVERGED = 1e-8  # Newton's method squares its error: the next step would be rounding
+LAST_HARMONIC = 1e-8  # share by which the first harmonic that is left out would count: 0.002 u in what is seen
+CONVERGED = 1e-6  # Newton's method squares its error: the next step would be rounding
 
 DETOUR = (4.0, 2.0, 1.5, 1.2, 1.1, 1.05, 1.02, 1.01, 1.0)
 """Rates, over the one wanted, by which a solution is reached that Newton's method does not find at once."""

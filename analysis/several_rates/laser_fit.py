@@ -28,7 +28,7 @@ from analysis.several_rates.ratio_model import (
     nearest_series,
     prior_of,
 )
-from analysis.two_mode_laser import FEWEST, NUMBERS, lines_in_time, periodic_states, states_beside, steps_of_a_turn
+from analysis.two_mode_laser import NUMBERS, lines_in_time, periodic_states, states_beside, steps_of_a_turn
 
 N_PARAMETERS = 27
 
@@ -162,13 +162,13 @@ class LaserModel:
     def __init__(self, data: LaserData, near: LaserFit | None = None) -> None:
         self.data, some = data, data.points.points
         steps, self.lines = steps_of_a_turn(some.ratio)
-        self.states = np.zeros((some.rate.size, 2, steps))
-        self.sagnac = np.sign(some.rate) * some.angular  # what was found last is where the next search begins
-        self.solved: Floats | None = None  # lasers (P, NUMBERS) that the states solve
+        # states (P, 2, n), sagnac (P,) and the lasers (P, NUMBERS) that they solve: there the next solution begins
+        self.last: tuple[Floats, Floats, Floats | None]
+        self.last = np.zeros((some.rate.size, 2, steps)), np.sign(some.rate) * some.angular, None
         self.slopes: tuple[object, Floats] = None, np.empty(0)
         self.softer = 1.0  # times as much noise as there is
         if near is not None:
-            self.states, self.sagnac = near.model.states, near.model.sagnac
+            self.last = near.model.last
 
     def of(self, data: LaserData) -> LaserModel:
         """The same of other data of these points, begun at its solutions."""
@@ -234,11 +234,11 @@ class LaserModel:
     def _light(self, numbers: Floats) -> _Light:
         """Periodic solutions for the lasers (B, P, `NUMBERS`) of all sets: each different one once."""
         angular = self.data.points.points.angular
-        values, sagnac, found = self.states, self.sagnac, np.array(True)
-        if self.solved is None or np.any(numbers[-1] != self.solved):
+        (values, sagnac, solved), found = self.last, np.array(True)
+        if solved is None or np.any(numbers[-1] != solved):
             values, sagnac, found = _by_degrees(numbers[-1], sagnac, values, angular)
         if found.all():
-            self.states, self.sagnac, self.solved = values, sagnac, numbers[-1]
+            self.last = values, sagnac, numbers[-1]
         # most parameters leave the lasers as they are
         others = np.any(numbers != numbers[-1], axis=(1, 2)) & found.all()
         which, back = np.append(np.flatnonzero(others), -1), np.where(others, np.cumsum(others) - 1, others.sum())
@@ -454,8 +454,15 @@ def search(
             parameters[:4] = _backscatters(np.exp(complex(*values[:2])), values[3], values[2])
         return parameters
 
+    least, near = math.inf, model.last
+
     def residual(step: Floats) -> Floats:
-        return np.asarray(model.residual(whole(step)[np.newaxis])[0])
+        nonlocal least, near
+        model.last = near  # from a laser far away Newton's method may end at none
+        left = model.residual(whole(step)[np.newaxis])[0]
+        if float(left @ left) < least:
+            least, near = float(left @ left), model.last
+        return np.asarray(left)
 
     def slope(step: Floats) -> Floats:
         slopes = _jacobian(model, whole(step), free).copy()
@@ -469,7 +476,7 @@ def search(
     if residual(nowhere)[0] == _FAILED:
         return None
     made = least_squares(residual, nowhere, slope, max_nfev=evaluations, ftol=settled, xtol=_SETTLED, gtol=None)
-    end = whole(made.x)
+    end, model.last = whole(made.x), near
     if turns := round(float(end[BETWEEN]) / (2 * np.pi)):  # one between the senses is half a one of both
         end[[BETWEEN, FIRST.stop - 1, SECOND.stop - 1]] += np.pi * turns * np.array([-2, 1, 1])
         return search(model, end, evaluations, settled)
@@ -486,15 +493,19 @@ def _jacobian(model: LaserModel, parameters: Floats, free: Indices) -> Floats:
     return model.slopes[1]
 
 
-def solutions(model: LaserModel, looked: list[tuple[Floats, float]]) -> list[LaserFit]:
-    """The minima that are possible, the best first, from parameters and chi-square of some looks at them."""
-    data = model.data
-    found: list[LaserFit] = []
-    for start, cost in looked:
+Look = tuple[LaserModel, Floats, float]
+"""Where a search begins: a model with solutions close to its parameters, these, and chi-square."""
+
+
+def solutions(data: LaserData, looked: list[Look]) -> list[LaserFit]:
+    """The minima that are possible, the best first, from some looks at them."""
+    found, looked = list[LaserFit](), sorted(looked, key=lambda one: one[2])
+    for near, start, cost in looked:
         least = min((one.chi_square for one in found), default=math.inf)
         good = found and least < _GOOD * found[0].values
-        if good and cost > looked[0][1] + 1e3:
+        if good and cost > looked[0][2] + 1e3:
             break
+        model = near.of(data)
         end = search(model, start, _TRIED, _ROUGHLY)
         if end and not (good and end[1] > least + _FAR):
             end = search(model, end[0], EVALUATIONS, _ROUGHLY)
@@ -509,7 +520,7 @@ def solutions(model: LaserModel, looked: list[tuple[Floats, float]]) -> list[Las
         for turn in _TURNED * data.sd[TURN]:
             start = np.where(np.arange(N_PARAMETERS) == TURN, turn, best.parameters)
             end = search(held, start, EVALUATIONS, _ROUGHLY)
-            end = end and search(model, end[0], EVALUATIONS, _ROUGHLY)
+            end = end and search(model := held.of(data), end[0], EVALUATIONS, _ROUGHLY)
             found = found if end is None else _with(found, LaserFit.at(model, end[0]))
     least = min(one.chi_square for one in found)
     ends = (
@@ -597,7 +608,7 @@ def lasers_by_rates(
         if scale <= 1:
             break
         data = replace(data, rate_weight=data.rate_weight / math.sqrt(scale))
-        found = solutions(LaserModel(data, found[0]), [(one.parameters, one.chi_square) for one in found])
+        found = solutions(data, [(one.model, one.parameters, one.chi_square) for one in found])
     return found
 
 
@@ -651,17 +662,17 @@ def lasers_of_beat(points: Points, starts: Floats, known: Prior, bench: BenchKno
 
 def _looked(data: LaserData, starts: Floats) -> list[LaserFit]:
     """Lasers that some data allow, begun from several lasers at each of the sets of equation (1)."""
-    model, followed = LaserModel(with_usual_gain(data)), list[tuple[Floats, float]]()
-    model.states = model.states[..., :FEWEST]  # enough to look
+    model, followed = LaserModel(with_usual_gain(data)), list[Look]()
+    model.last = model.last[0][..., : 1 + 4 * (2 * model.lines // 3)], *model.last[1:]  # enough to look
     for start in starts:
         lasers = (_as_laser(start, angle, logarithm, data) for angle, logarithm in product(_ANGLES, _LOGARITHMS))
-        looked = [end for laser in lasers if (end := search(model, laser, _FIRST_LOOK, _ROUGHLY))]
+        looked = [end for laser in lasers if (end := search(copy(model), laser, _FIRST_LOOK, _ROUGHLY))]
         different = list[tuple[Floats, float]]()
         for end in sorted(looked, key=lambda one: one[1]):
             if all(np.max(_apart(end[0], other, data)) > _ALIKE for other, _ in different):
                 different.append(end)
-        followed += different[:_LOOKED_AT]
-    return solutions(LaserModel(data), sorted(followed, key=lambda one: one[1]))
+        followed += [(LaserModel(data), *end) for end in different[:_LOOKED_AT]]
+    return solutions(data, followed)
 
 
 def _as_laser(start: Floats, angle: float, logarithm: float, data: LaserData) -> Floats:

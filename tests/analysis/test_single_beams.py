@@ -579,6 +579,12 @@ def test_a_misfit_is_looked_at_once_more(seed):
 
 
 @pytest.mark.slow
+def test_a_start_that_has_no_steady_beat_begins_with_less_backscatter():
+    found = beams.outcome(beams.PLANS["3 30, one sense"], 100_102)
+    assert found is not None and abs(found.pull) < 3 and not found.flags & BeamsFlag.MISFIT
+
+
+@pytest.mark.slow
 def test_a_minimum_that_no_search_finds_again_ends_no_run():
     """Other minima were found after it, and their solutions are too far from it."""
     assert beams.outcome(beams.PLANS["3 5 9 17 30, both senses"], 300_023) is not None

@@ -630,11 +630,8 @@ def uncertainty_curve(request: PlanRequest, records: int, *, fastest: float = 10
     single = replace(request, rates_over_lock_in=())
     over = 1 + np.geomspace(0.06, fastest - 1, _POINTS)  # it is steep near lock-in
     budgets = [predicted_budget(single, float(ratio), records) for ratio in over]
-    parts = {name: np.array([_part(budget, lines) for budget in budgets]) for name, lines in _GROUPS.items()}
-    return UncertaintyCurve(
-        over_lock_in=over, total=np.array([budget.relative_u for budget in budgets]), records=records, **parts
-    )
-
-
-def _part(budget: Budget, names: tuple[str, ...]) -> float:
-    return math.hypot(*(line.contribution for line in budget.inputs if line.name in names)) / budget.lock_in_rate
+    total, parts = np.array([budget.relative_u for budget in budgets]), dict[str, Floats]()
+    for part, names in _GROUPS.items():
+        lines = ([one.contribution for one in budget.inputs if one.name in names] for budget in budgets)
+        parts[part] = np.array([math.hypot(*some) for some in lines]) / [one.lock_in_rate for one in budgets]
+    return UncertaintyCurve(over_lock_in=over, total=total, records=records, **parts)

@@ -101,7 +101,7 @@ _RECTANGLE = math.sqrt(3.0)
 UNLIKELY = 0.001
 _TRIES = 10  # steps of a first look
 _SATURATIONS = (0.1, 0.5, 0.9)
-_HALVED = np.where(np.isin(np.arange(N_PARAMETERS), (FIRST.start, SECOND.start)), math.log(0.5), 0.0)
+_HALVED = np.isin(np.arange(N_PARAMETERS), (FIRST.start, SECOND.start)) * math.log(0.5)  # may have a steady beat
 _SOFTER = (1000.0, 100.0, 10.0)  # times the noise, in a first look
 _NO_LEVEL_U, _FREED_U = 3.0, 0.03  # of the logarithm of an unknown level; of the push taken out of beats, relative
 
@@ -360,14 +360,12 @@ def _solutions(data: LaserData) -> list[LaserFit]:
         for start in starts:
             model = LaserModel(with_usual_gain(data))
             model.softer, *less = noise
-            # half the backscatter has a steady beat where all of it has none
             end = search(model, start, _TRIES) or search(model, start + _HALVED, _TRIES)
             for model.softer in less:
                 end = end and search(model, end[0], _TRIES)
             model.softer = 1.0
             if end is not None:
-                residual = model.residual(end[0][np.newaxis])[0]
-                looked.append((model, end[0], float(residual @ residual)))
+                looked.append((model, end[0], float(np.sum(model.residual(end[0][np.newaxis]) ** 2))))
         try:
             found += solutions(data, looked)
         except NoFit as error:

@@ -463,7 +463,9 @@ def _why_not_faster(plan: Plan) -> list[str]:
     if chosen >= 0.9 * PAPER_OVER_LOCK_IN:
         return []
     here, there = (float(harmonic_ratio(1 / over)) for over in (chosen, PAPER_OVER_LOCK_IN))
-    noise_here, noise_there = (_noise(request, over) for over in (chosen, PAPER_OVER_LOCK_IN))
+    alone, noises = replace(request, both_senses=False), ("noise", "quantization")
+    budgets = (predicted_budget(alone, over, 1).inputs for over in (chosen, PAPER_OVER_LOCK_IN))
+    noise_here, noise_there = (math.hypot(*(one.contribution for one in b if one.name in noises)) for b in budgets)
     more = (noise_there / noise_here) ** 2
     limit = request.knowledge.distortion_limit
     said = [
@@ -485,12 +487,6 @@ def _why_not_faster(plan: Plan) -> list[str]:
         "steadily."
     )
     return said
-
-
-def _noise(request: PlanRequest, over: float) -> float:
-    """What noise makes of the lock-in rate from one record."""
-    budget = predicted_budget(replace(request, both_senses=False), over, 1)
-    return math.hypot(*(line.contribution for line in budget.inputs if line.name in ("noise", "quantization")))
 
 
 def _largest(limit: float, ratio: float) -> float:

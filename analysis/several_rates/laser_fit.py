@@ -159,16 +159,14 @@ def _backscatter(part: Floats) -> Complexes:
 class LaserModel:
     """The model of some data; of several sets of parameters the last is solved, others must be beside it."""
 
-    def __init__(self, data: LaserData, near: LaserFit | None = None) -> None:
+    def __init__(self, data: LaserData) -> None:
         self.data, some = data, data.points.points
         steps, self.lines = steps_of_a_turn(some.ratio)
         # states (P, 2, n), sagnac (P,) and the lasers (P, NUMBERS) that they solve: there the next solution begins
-        self.last: tuple[Floats, Floats, Floats | None]
-        self.last = np.zeros((some.rate.size, 2, steps)), np.sign(some.rate) * some.angular, None
+        none = np.zeros((some.rate.size, 2, steps))
+        self.last: tuple[Floats, Floats, Floats | None] = none, np.sign(some.rate) * some.angular, None
         self.slopes: tuple[object, Floats] = None, np.empty(0)
         self.softer = 1.0  # times as much noise as there is
-        if near is not None:
-            self.last = near.model.last
 
     def of(self, data: LaserData) -> LaserModel:
         """The same of other data of these points, begun at its solutions."""
@@ -516,7 +514,7 @@ def solutions(data: LaserData, looked: list[Look]) -> list[LaserFit]:
     best = min(found, key=lambda one: one.chi_square)
     if len(looked) > 1 and best.covariance[TURN, TURN] > (_SHOWN * data.sd[TURN]) ** 2:
         # phases that turn stand for a coupling at another angle, and a ridge may be between the two
-        held = LaserModel(replace(data, sd=np.where(np.arange(N_PARAMETERS) == TURN, 0.0, data.sd)), best)
+        held = best.model.of(replace(data, sd=np.where(np.arange(N_PARAMETERS) == TURN, 0.0, data.sd)))
         for turn in _TURNED * data.sd[TURN]:
             start = np.where(np.arange(N_PARAMETERS) == TURN, turn, best.parameters)
             end = search(held, start, EVALUATIONS, _ROUGHLY)
@@ -654,7 +652,7 @@ def lasers_of_beat(points: Points, starts: Floats, known: Prior, bench: BenchKno
         part = replace(best.model.data, usual=tuple(width), about=tuple(about))
         coupling = complex(_backscatter(near.parameters[FIRST]) + _backscatter(near.parameters[SECOND]))
         start = np.concatenate([_backscatters(coupling, about[1], about[0]), near.parameters[4:]])
-        if (end := search(model := LaserModel(part, near), start, _OF_PART, _ROUGHLY)) is not None:
+        if (end := search(model := near.model.of(part), start, _OF_PART, _ROUGHLY)) is not None:
             near = LaserFit.at(model, end[0])
             found.append(replace(near, chi_square=near.chi_square + float(place @ place) / (1 - _PART**2)))
     return sorted(found, key=lambda one: one.chi_square) or [best]

@@ -170,16 +170,12 @@ def render_page(template: str, **values: Any) -> str:
         loader=PackageLoader("station.report"),
         autoescape=True,
         undefined=StrictUndefined,
-        finalize=_shown,
+        # what acts without being seen becomes visible in text of others; what is HTML already is ours
+        finalize=lambda value: visible(value) if type(value) is str else value,
         trim_blocks=True,
         lstrip_blocks=True,
     )
     return environment.get_template(template).render(**values)
-
-
-def _shown(value: Any) -> Any:
-    """Make visible what acts without being seen, in text of others; what is HTML already is ours."""
-    return visible(value) if type(value) is str else value
 
 
 def write_page(path: Path, text: str) -> Path:

@@ -14,6 +14,7 @@ from analysis.budget import RecordShape
 from analysis.harmonics import fit_harmonics
 from analysis.plan import expected_beams_u
 from analysis.ring_laser import TwoModeLaser, steady_beat
+from analysis.several_rates.laser_fit import search
 from analysis.single_beams import BeamsKnowledge, fit_beams
 from analysis.two_mode_laser import NUMBERS, periodic_states, states_beside
 from benchmarks import beams
@@ -524,6 +525,30 @@ def test_a_fit_keeps_the_least_of_lock_in_rates_that_are_all_too_large():
     # strongly winking, and close to lock-in: no fit of the beat alone is near
     alone, _ = measured(Bench(laser(2.09, 2.262, 10.5)), (1.1 * WL, 2.53 * WL, -1.65 * WL), count=2)
     assert np.isfinite(alone.lock_in_rate)
+
+
+def test_a_search_goes_back_to_the_solutions_of_its_best_step():
+    """From those of a laser far away, which a rejected step tried, Newton's method may end at none."""
+    found = measured(Bench(laser(1.4, 1.2, 2.0)), (0.03, 0.06, 0.15, 0.3))[0].lasers[0]
+    model, seen = found.model.of(found.model.data), []
+    plain = model.residual
+
+    def watched(parameters):
+        before, left = model.last, plain(parameters)
+        if len(parameters) == 1:
+            seen.append((before, float(left[0] @ left[0]), model.last))
+        return left
+
+    model.residual = watched
+    start = found.parameters.copy()
+    start[:4] += 0.5, 0.4, -0.5, 0.8
+    assert search(model, start, 20) is not None
+    near, least, rejected = seen[0][0], np.inf, 0
+    for before, cost, after in seen:
+        assert before is near
+        rejected += cost >= least
+        near, least = (after, cost) if cost < least else (near, least)
+    assert rejected and model.last is near
 
 
 def test_lasers_beside_a_known_one_follow_by_one_step():

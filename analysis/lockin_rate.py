@@ -548,10 +548,6 @@ def with_ratio(
 # their noise enters the uncertainty of the whole
 
 
-SUSPECT = Flag.MISFIT | Flag.RATE_WANDER
-"""What makes the parts worth a look; noise that is not white does where it is stronger at the beat than elsewhere,
-since what happens in one part never leaves less there."""
-
 PERIODS, SAMPLES = 4.0, 100  # that a part has at least
 MOST_PIECES = 4  # parts of a record at most
 
@@ -563,18 +559,18 @@ def compare_pieces(
     beat: Beat, fit: WaveformFit, stack: Stack, clipped: Bools | None, sample_interval: float
 ) -> tuple[Beat, Ints]:
     """Beats, their uncertainty enlarged by what their parts say, and the flags plus that of parts that differ."""
+    # noise that is not white is worth a look where it is stronger at the beat than elsewhere: what happens in one
+    # part never leaves less there; of a rate that moves the fit has asked
     flags = fit.flags
     louder = ((flags & int(Flag.COLOURED_NOISE)) != 0) & (fit.excess.max(axis=-1) > 1)
-    suspect = (((flags & int(SUSPECT)) != 0) | louder) & ((flags & int(FATAL)) == 0)
-    suspect &= ~fit.compared
+    suspect = (((flags & int(Flag.MISFIT)) != 0) | louder) & ((flags & int(FATAL)) == 0)
+    suspect &= ~fit.moves
     pieces = np.minimum(np.minimum(beat.periods / PERIODS, stack.n_samples / SAMPLES), MOST_PIECES)
     number = np.where(suspect & np.isfinite(pieces), pieces, 0).astype(int)
     for n_pieces in range(2, MOST_PIECES + 1):
         rows = never_alone(np.flatnonzero(number == n_pieces))
         if rows.size:
-            # What no motion has explained as a whole is not looked for in the parts with the slowest of means.
-            moves = (flags[rows] & int(Flag.RATE_WANDER)) != 0
-            parts = _beats_of_parts(stack, clipped, rows, n_pieces, sample_interval, moves)
+            parts = _beats_of_parts(stack, clipped, rows, n_pieces, sample_interval)
             ratio_u, differ = _disagreement(beat, rows, *parts)
             beat = beat.widened(rows, ratio_u)
             flags[rows[differ]] |= Flag.PARTS_DIFFER
@@ -582,15 +578,15 @@ def compare_pieces(
 
 
 def _beats_of_parts(
-    stack: Stack, clipped: Bools | None, rows: Indices, n_pieces: int, sample_interval: float, moves: Bools
+    stack: Stack, clipped: Bools | None, rows: Indices, n_pieces: int, sample_interval: float
 ) -> tuple[Beat, Ints]:
     length = stack.n_samples // n_pieces
 
     def cut(samples: np.ndarray) -> np.ndarray:
         return samples[rows, : length * n_pieces].reshape(-1, length)
 
-    exact = np.repeat(moves, n_pieces)
-    parts = Stack(cut(stack.volts), (rows.size * n_pieces,), stack.nan_policy, exact)
+    # What no motion has explained as a whole is not looked for in the parts with the slowest of means.
+    parts = Stack(cut(stack.volts), (rows.size * n_pieces,), stack.nan_policy, exact=False)
     fit = fit_waveform(parts, None if clipped is None else cut(clipped))
     return Beat.of(fit, length, sample_interval), fit.flags
 

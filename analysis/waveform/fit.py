@@ -90,7 +90,7 @@ class WaveformFit(Stacked):
     # (R,) volts, complex: what the waveform leaves at three times the beat, its phase that in the middle of the
     # record; nan where samples are missing or something moved
     third: Complexes
-    compared: Bools  # (R,) whether the fit has asked already if the parts of the record agree
+    moves: Bools  # (R,) whether a motion explains the record, and has been asked if its parts agree
     flags: Ints  # (R,)
 
 
@@ -255,14 +255,14 @@ def _judged(
     excess, third = report.excess, np.where(count < n_samples, np.nan, left.third)
     fatal = (report.flags & int(FATAL)) != 0
     beat_power = np.abs(series.first) ** 2 / 2 * count
-    at_rest, moving, compared = np.ones(len(count), dtype=bool), *np.zeros((2, len(count)), dtype=bool)
+    at_rest, moving = np.ones(len(count), dtype=bool), np.zeros(len(count), dtype=bool)
     asked = report.uneven | ((report.flags & int(Flag.COLOURED_NOISE)) != 0)
     # A residual as small as this cannot come from a motion that would move the ratio.
     asked &= power > TRACKED_FROM**2 * np.abs(series.first) ** 2 * count
     motions = _followed(
         records, masks, series, np.flatnonzero(asked), fatal, repeated, power / np.maximum(free, 1)
     )
-    for rows, moved, again, is_small, compared[rows] in motions:
+    for rows, moved, again, is_small in motions:
         sidebands = power[rows] / beat_power[rows]
         series.put(rows, moved.series)
         at_rest[rows], moving[rows], third[rows] = is_small, True, np.nan
@@ -294,7 +294,7 @@ def _judged(
     flags[records.constant] = Flag.CONSTANT
     flags[count < FEWEST_SAMPLES] |= Flag.TOO_FEW_SAMPLES
     covariance *= variance[:, np.newaxis, np.newaxis]
-    return WaveformFit(series, covariance, excess, np.sqrt(variance), report.misfit, third, compared, flags)
+    return WaveformFit(series, covariance, excess, np.sqrt(variance), report.misfit, third, moving, flags)
 
 
 def _by_codes(
@@ -348,10 +348,9 @@ def _look_closer(
 
 def _followed(
     records: Records, masks: Masks, series: Series, rows: Indices, fatal: Bools, repeated: Bools, variance: Floats
-) -> Iterator[tuple[Indices, MovingFits, ResidualReport, bool, bool]]:
+) -> Iterator[tuple[Indices, MovingFits, ResidualReport, bool]]:
     """Those of some records that a motion explains, with what it leaves of them."""
-    # and whether it is so small that a steady rate is not far, and whether the parts have been compared
-    # variance (R,): that of a fit at a steady rate
+    # and whether it is so small that a steady rate is not far; variance (R,): that of a fit at a steady rate
     n_samples = records.values.shape[1]
 
     def left_by_motion(rows: Indices, moved: MovingFits) -> ResidualReport:
@@ -378,7 +377,7 @@ def _followed(
                 again = left_by_motion(here, moved)
                 settled = never_alone(np.flatnonzero(again.flags == 0))
                 if settled.size:
-                    yield here[settled], moved.take(settled), again.take(settled), True, True
+                    yield here[settled], moved.take(settled), again.take(settled), True
                     asked[quiet[small[settled]]] = False
         some = never_alone(np.unique(some[asked]))
         if not some.size:
@@ -404,7 +403,7 @@ def _followed(
             explained |= moved.variance <= WORTH_MOVING * variance[here]
             taken = never_alone(np.flatnonzero(done & explained))
             if taken.size:
-                yield here[taken], moved.take(taken), again.take(taken), False, True
+                yield here[taken], moved.take(taken), again.take(taken), False
             undone[tried[done]] = False
             # one that fits and is too quick for it has been read well enough
             tried = np.unique(tried[failed | coloured])
@@ -420,7 +419,7 @@ def _followed(
             again = left_by_motion(row, exactly)
             wrong = (again.flags[0] | exactly.flags[0]) & int(FATAL | Flag.MISFIT)
             if not (fatal[row[0]] and (wrong or exactly.walk[0] > MOST_WALK)):
-                yield row, exactly, again, False, False
+                yield row, exactly, again, False
 
 
 def _following_the_level(values: Samples, masks: Masks, rows: Indices, moved: MovingFits) -> tuple[Floats, Bools]:

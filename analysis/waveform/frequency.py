@@ -236,7 +236,7 @@ class Stack:
     volts: Samples
     shape: tuple[int, ...]
     nan_policy: NanPolicy
-    exact: Bools | None = None  # (R,): see `Records`; None: all
+    exact: bool = True  # see `Records`
 
     @property
     def n_samples(self) -> int:
@@ -277,7 +277,7 @@ class Stack:
         # Rounding of the mean leaves about 1e-16 of the level in a record that is really constant.
         constant = centred.highest - centred.lowest <= 1e-12 * np.abs(centred.centre)
         constant |= centred.count < 1
-        exact = np.ones(len(raw), dtype=bool) if self.exact is None else self.exact[part]
+        exact = np.full(len(raw), self.exact)
         return Records(weights=weights, constant=constant, exact=exact, **vars(centred))
 
 

@@ -108,6 +108,8 @@ ENOUGH = 1e-3  # gain of a last step, in variances of a sample's noise: a thirti
 
 RIDGE = 1e-12
 
+CHANGES = 3  # polynomials, from the first on, by which s and c may change along the record
+
 
 def unit_diagonal(normal: Floats) -> tuple[Floats, Floats]:
     """A normal matrix with a diagonal of one and a ridge against rounding, and the scale (P,) that gives it."""
@@ -249,18 +251,15 @@ class SampledRecord:
             now, looseness, cost, degrees, equations.normal, evidence, model.left, model.moved, converged
         )
 
-    def drift_of_pull(self, fitted: Fitted) -> tuple[Floats, Floats]:
-        """What s and c would gain from the middle of the record to its end if they drifted evenly."""
-        # One step from the minimum of a fit without such a drift.
+    def changes_of_pull(self, fitted: Fitted) -> tuple[Floats, Floats]:
+        """What s and c would be times the polynomials from the first to the third, (6,), and its covariance."""
+        # One step from the minimum of a fit without such changes.
         at, model = fitted.trajectory, self._model(fitted.trajectory)
-        equations = _Equations.of(self, at, model, fitted.looseness, drifting=True)
-        # the two of the drift last
-        first = at.terms.rate + 2
-        order = np.concatenate([np.delete(np.arange(at.terms.count + 2), [first, first + 1]), [first, first + 1]])
-        normal, gradient = equations.normal[np.ix_(order, order)], equations.gradient[order]
-        scaled, scale = unit_diagonal(normal)
-        inverse = (np.linalg.inv(scaled) * scale * scale[:, np.newaxis])[-2:]
-        return inverse @ gradient, inverse[:, -2:] * fitted.variance
+        equations = _Equations.of(self, at, model, fitted.looseness, changing=True)
+        scaled, scale = unit_diagonal(equations.normal)
+        places = at.terms.rate + 2 + np.arange(2 * CHANGES)
+        inverse = (np.linalg.inv(scaled) * scale * scale[:, np.newaxis])[places]
+        return inverse @ equations.gradient, inverse[:, places] * fitted.variance
 
     def columns(self, terms: Terms) -> tuple[Floats, Floats]:
         """What A and C are made of, (terms, N) each."""
@@ -307,9 +306,9 @@ class _Equations:
 
     @staticmethod
     def of(
-        record: SampledRecord, at: Trajectory, model: _Model, looseness: float, *, drifting: bool = False
+        record: SampledRecord, at: Trajectory, model: _Model, looseness: float, *, changing: bool = False
     ) -> _Equations:
-        """`drifting`: behind s and c two more parameters, by which they grow from the middle to the end."""
+        """`changing`: behind s and c what they are times each of the next polynomials."""
         steps, tight = model.steps, 1 / looseness
         diagonal = model.by_phase**2
         diagonal += RIDGE * np.mean(diagonal)
@@ -319,14 +318,15 @@ class _Equations:
         if failed:
             raise np.linalg.LinAlgError("the phases are not determined")
         basis = polynomials(record.values.size).means[: at.terms.rate]
-        n_rate, n_more = at.terms.rate, 2 if drifting else 0
+        n_rate, n_more = at.terms.rate, 2 * CHANGES if changing else 0
         n_moved, n_all = n_rate + 2 + n_more, at.terms.count + n_more
         sides, solved, by_step = record.room(n_all)
         by_step = by_step[:n_moved, :-1]
         np.multiply(basis, steps.by_rate, out=by_step[:n_rate])
         by_step[n_rate : n_rate + 2] = steps.by_sine, steps.by_cosine
-        if drifting:
-            by_step[-2:] = by_step[n_rate : n_rate + 2] * polynomials(record.values.size).means[1]
+        for k in range(1, n_more // 2 + 1):
+            slow = polynomials(record.values.size).means[k]
+            by_step[n_rate + 2 * k : n_rate + 2 * k + 2] = by_step[n_rate : n_rate + 2] * slow
         moved = model.moved * tight
         normal = np.zeros((n_all, n_all))
         normal[:n_moved, :n_moved] = tight * (by_step @ by_step.T)

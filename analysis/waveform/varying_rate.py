@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import scipy.linalg
+import scipy.special
 from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
@@ -18,6 +19,7 @@ from analysis.waveform.residuals import line_stands_out
 from analysis.waveform.series import Series, data_sums, phasors, step_by_samples, tangents_along
 from analysis.waveform.smooth_phase import AT_ENDS, OTHERS, Paths, fit_smooth_phase, knots_of
 from analysis.waveform.trajectory import (
+    CHANGES,
     HIGHEST,
     Fitted,
     SampledRecord,
@@ -118,35 +120,36 @@ def fit_moving_rate(values: Floats, mask: Floats) -> MovingFits | None:
 def _fitted(record: SampledRecord, seen: FirstPhase) -> tuple[Fitted, Terms, bool]:
     """The fit, the terms that the data ask for, and whether the rate is noisy."""
     scale = float(np.mean(seen.amplitude)) ** 2
-    loose = _roughly(SampledRecord(record.values, record.mask * seen.trusted), seen, scale)
+    free, loose = _roughly(SampledRecord(record.values, record.mask * seen.trusted), seen, scale)
     if seen.step is not None:
         moved = _with_step_moved(record, loose.trajectory, seen)
         loose = record.fit(moved, LOOSE / scale, ITERATIONS)
-    tight = record.fit(loose.trajectory, TIGHT / scale, LAST_ITERATIONS)
-    noisy = tight.evidence > loose.evidence + NOISY_RATE
-    free = record.fit(loose.trajectory, FREE / scale, ITERATIONS) if noisy else loose
-    best = min(free, loose, key=lambda fitted: fitted.evidence) if noisy else tight
+        free = record.fit(moved, FREE / scale, ITERATIONS)
+    best = tight = min(free, loose, key=lambda fitted: fitted.evidence)
+    if loose.evidence < free.evidence + NOISY_RATE:
+        tight = record.fit(loose.trajectory, TIGHT / scale, LAST_ITERATIONS)
+    noisy = tight is best or tight.evidence > loose.evidence + NOISY_RATE
+    best = best if noisy else tight
     needed = terms_needed(best, record.count)
     kept = replace(needed, rate=min(int(ROOM * needed.rate) + ROOM_AT_LEAST, best.trajectory.terms.rate))
     if noisy:
         # the looseness of greatest likelihood; no more terms are kept: the noise takes up what they leave
-        fitted, width = (
-            record.fit(with_terms(best, kept), best.looseness, ITERATIONS),
-            float(np.log(FREE / LOOSE)) / 2,
-        )
+        fitted, width = record.fit(with_terms(best, kept), best.looseness, 1), float(np.log(FREE / LOOSE)) / 2
         roughly = _likeliest(record, fitted, width, COARSEST)
         needed = terms_needed(roughly, record.count)
         again = record.fit(with_terms(roughly, needed), roughly.looseness, ITERATIONS)
-        return _likeliest(record, again, COARSEST, FINEST), needed, True
+        likeliest = _likeliest(record, again, COARSEST, FINEST)
+        return record.fit(likeliest.trajectory, likeliest.looseness, ITERATIONS), needed, True
     return record.fit(with_terms(best, kept), EXACT / scale, LAST_ITERATIONS), needed, False
 
 
-def _roughly(record: SampledRecord, seen: FirstPhase, scale: float) -> Fitted:
+def _roughly(record: SampledRecord, seen: FirstPhase, scale: float) -> list[Fitted]:
     """The phases followed wherever they go, then the motion that they show, and once more from there."""
     phase, slow = seen.phase, Terms(0, SLOW_TERMS, SLOW_TERMS, seen.step)
     of_amplitude, of_offset = record.columns(slow)
     amplitude = np.linalg.lstsq(of_amplitude.T, seen.amplitude, rcond=None)[0]
     offset = np.linalg.lstsq(of_offset.T, seen.offset, rcond=None)[0]
+    fits = list[Fitted]()
     for looseness in (FREE, LOOSE):
         periods = (phase[-1] - phase[0]) / (2 * np.pi)
         most = int(
@@ -163,7 +166,8 @@ def _roughly(record: SampledRecord, seen: FirstPhase, scale: float) -> Fitted:
         start = Trajectory(phase, parameters, replace(slow, rate=rate.size))
         fitted = record.fit(start, looseness / scale, ITERATIONS)
         phase, amplitude, offset = fitted.trajectory.phase, fitted.trajectory.amplitude, fitted.trajectory.offset
-    return fitted
+        fits.append(fitted)
+    return fits
 
 
 def _with_step_moved(record: SampledRecord, trajectory: Trajectory, seen: FirstPhase) -> Trajectory:
@@ -186,7 +190,7 @@ def _likeliest(record: SampledRecord, fitted: Fitted, width: float, finest: floa
     def at(place: float) -> float:
         if place not in tried:
             near = tried[middle].trajectory
-            tried[place] = record.fit(near, fitted.looseness * np.exp(place), ITERATIONS)
+            tried[place] = record.fit(near, fitted.looseness * np.exp(place), 1)
         return tried[place].evidence
 
     while width > finest:
@@ -231,8 +235,9 @@ def _path_of(record: SampledRecord, fitted: Fitted, *, moves: bool) -> Paths:
     middle = np.interp((n_samples - 1) / 2, np.arange(n_samples), trajectory.phase)
     z = np.exp(1j * middle) * size / complex(*pull)
     places = np.array([0, terms.rate, terms.rate + 1])
-    gain, gain_covariance = record.drift_of_pull(fitted)
-    chi_square = float(gain @ np.linalg.solve(gain_covariance, gain))
+    changes, of_changes = record.changes_of_pull(fitted)
+    chi_square = float(changes @ np.linalg.solve(of_changes, changes))
+    of_mean = np.repeat(2 * np.arange(1, CHANGES + 1) + 1.0, 2)
     even = np.ptp(rates) == 0
     single = (
         rate,
@@ -248,8 +253,8 @@ def _path_of(record: SampledRecord, fitted: Fitted, *, moves: bool) -> Paths:
         0.0,
         np.inf if even else float(np.quantile(rates, AT_ENDS)),
         height.min() / height.max(),
-        float(np.linalg.norm(gain)) / np.sqrt(3),
-        float(np.exp(-chi_square / 2)),
+        float(np.sqrt(np.sum(changes**2 / of_mean))),
+        float(scipy.special.chdtrc(changes.size, chi_square)),
         0.0,
         False,
     )

@@ -177,20 +177,21 @@ def test_no_polynomials_are_kept_beside_noise_of_the_rate_that_would_lead_it_int
     assert abs(float(e.lock_in_rate) - 0.6) < 3 * float(e.lock_in_rate_u)
 
 
-@pytest.mark.parametrize("drift", [0.0, 0.2])
-def test_a_lock_in_rate_that_drifts_is_seen_while_the_rate_moves(drift):
+@pytest.mark.parametrize(("change", "degree"), [(0.0, 1), (0.2, 1), (0.3, 2), (0.3, 3)])
+def test_a_lock_in_rate_that_changes_is_seen_while_the_rate_moves(change, degree):
     rng = np.random.default_rng(48)
     gyro = draw_gyro(
         rng, rate_over_lock_in=(3.0, 3.0), periods=(12.3, 12.3), noise=(0.6, 0.6), amplitude=(90.0, 90.0)
     )
     rates = gyro.input_rate * (1 + 0.1 * np.cos(4 * np.pi * step_times()))
-    # a time base that stretches: K W and K WL drift alike
-    intervals = gyro.sample_interval * (1 + drift * (2 * step_times() - 1))
+    # a time base that stretches: K W and K WL change alike
+    shape = np.polynomial.legendre.Legendre.basis(degree)(2 * step_times() - 1)
+    intervals = gyro.sample_interval * (1 + change * shape)
     fit = fit_moving_rate(codes_of(rng, gyro, beat(gyro, rates, intervals)), np.ones(N))
-    # d r = r/sqrt(1 - x^2) d(WL)/WL
-    expected = abs(fit.series.ratio[0]) / np.sqrt(8 / 9) * drift
+    # d r = r/sqrt(1 - x^2) d(WL)/WL, as an even drift of the same rms does from the middle to the end
+    expected = abs(fit.series.ratio[0]) / np.sqrt(8 / 9) * change * np.sqrt(3 / (2 * degree + 1))
     assert fit.drift == pytest.approx(expected, rel=0.25, abs=4e-3)
-    assert (fit.drift_chance < 1e-6) == (drift > 0)
+    assert (fit.drift_chance < 1e-6) == (change > 0)
 
 
 def test_a_step_in_the_codes_is_seen_under_a_beat_that_wanders():

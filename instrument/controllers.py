@@ -193,14 +193,14 @@ class Controller:
 
     def _open_again(self, lost: LinkError) -> None:
         self._tell(f"{lost}: trying again for {self.template.link.reconnect_s:g} s")
-        until = time.monotonic() + self.template.link.reconnect_s
+        until = self._now() + self.template.link.reconnect_s
         while True:
             try:
                 self._lines.open()
             except LinkError:
-                if time.monotonic() > until:
+                if self._now() > until:
                     raise
-                time.sleep(_AGAIN_S)
+                self._sleep(_AGAIN_S)
             else:
                 self._tell(f"the link to {self.name} is there again")
                 return

@@ -58,25 +58,26 @@ def open_simulated_rate_table(
     device: LineDevice, settings: ControllerSettings, clock: Clock, tell: Tell
 ) -> Iterator[ControlledRateTable]:
     """Open a simulated table through its bytes: it ends with the program, and needs no guard."""
-    with served_device(device) as resource:
-        named = settings.model_copy(update={"resource": resource})
+    with served_device(device) as server:
+        named = settings.model_copy(update={"resource": server.resource_name})
         with open_controller(named, "rate_table", tell=tell, clock=clock) as controller:
             table = ControlledRateTable(controller, tell=tell, now=clock.now)
             try:
                 yield table
             finally:
-                table.close()
+                if server.error is None:  # else the simulation has failed, and says why: nothing turns any more
+                    table.close()
 
 
 @contextmanager
-def served_device(device: LineDevice) -> Iterator[str]:
-    """Serve a simulated device on a serial terminal, or on TCP where the system has none; yields its VISA name."""
+def served_device(device: LineDevice) -> Iterator[LineServer]:
+    """Serve a simulated device on a serial terminal, or on TCP where the system has none."""
     try:
         server = LineServer(device)
     except OSError:
         server = LineServer(device, tcp_port=0)
     with server:
-        yield server.resource_name
+        yield server
 
 
 @contextmanager
@@ -110,8 +111,8 @@ def open_chamber_or_supply(
             yield controller
         return
     device, clock = simulated_device(name)
-    with served_device(device) as resource:
-        named = settings.model_copy(update={"resource": resource})
+    with served_device(device) as server:
+        named = settings.model_copy(update={"resource": server.resource_name})
         with open_controller(named, name, tell=tell, clock=clock) as controller:
             yield controller
 

@@ -112,7 +112,14 @@ def tilt_from_fast_runs(
         raise NoTilt("every fast run needs a beat frequency, its uncertainty and a table rate that is not zero")
     measured = np.sign(table) * np.hypot(f / scale_factor, lock_in_rate)
     own = np.maximum(fu / scale_factor, SMALLEST_U_DPS)
-    first = _first_tilt(measured, table, own)
+    cosine = float(np.sum(measured * table) / np.sum(table**2))
+    noise = float(np.linalg.norm(own * table) / np.sum(table**2))
+    if cosine > 1 + FASTER_THAN_POSSIBLE + 4 * noise:
+        raise NoTilt(
+            f"the beat is {cosine:.4f} times K times the table rate; at most 1 is possible: "
+            "check the scale factor and the table rate"
+        )
+    first = float(np.arccos(min(cosine, 1.0)))
     turned = np.broadcast_to(np.asarray(turned_deg, dtype=np.float64), f.shape)
     latitude = np.deg2rad(latitude_deg)
     swing = EARTH_RATE_DPS * np.cos(latitude) * np.sinc(turned / 360)
@@ -144,18 +151,6 @@ def tilt_from_fast_runs(
         degrees_of_freedom=degrees,
         earth_rate_part_deg=float(np.rad2deg(tilt - first)),
     )
-
-
-def _first_tilt(measured: Floats, table: Floats, own: Floats) -> float:
-    """Tilt, rad, without the earth rate; `own` is the standard uncertainty of each measured rate."""
-    cosine = float(np.sum(measured * table) / np.sum(table**2))
-    noise = float(np.linalg.norm(own * table) / np.sum(table**2))
-    if cosine > 1 + FASTER_THAN_POSSIBLE + 4 * noise:
-        raise NoTilt(
-            f"the beat is {cosine:.4f} times K times the table rate; at most 1 is possible: "
-            "check the scale factor and the table rate"
-        )
-    return float(np.arccos(min(cosine, 1.0)))
 
 
 def _least_squares(measured: Floats, us: Floats, turning: Floats, crossing: Floats, start: float) -> float:

@@ -121,6 +121,13 @@ def witness_staircase(
     height, resets, nan = fit.values["h"], int(np.ptp(wraps)), float("nan")
     two_pi, bias = fit.values.get("R", nan), fit.values.get("b", 0.0)
     fall, fall_u = two_pi - abs(height), fit.u_of(R=1.0, h=-sign) if resets else nan
+    raised = {
+        "no_reset": resets == 0,
+        "few_resets": 0 < resets < FEW_RESETS,
+        "not_settled": not levels.settled,
+        "misfit": fit.scatter > MISFIT,
+        "few_samples_per_step": period < FEW_SAMPLES_PER_STEP,
+    }
     return StaircaseWitness(
         step_height=height,
         step_height_u=float(np.hypot(fit.u_of(h=1.0), gain_u * height)),
@@ -140,7 +147,7 @@ def witness_staircase(
         times=np.asarray((start + (levels.numbers + 0.5) * period) * sample_interval),
         levels=levels.heights,
         model=fit.model,
-        flags=_flags(levels, fit.scatter, resets, period),
+        flags=tuple(name for name, is_so in raised.items() if is_so),
     )
 
 
@@ -304,17 +311,6 @@ def _edges(record: Floats, cut: Cut, levels: Levels) -> _Edges:
     away = np.abs(places - cut.start - numbers * cut.period)
     keep = away < 5 * np.median(away) + 1.0
     return _Edges(numbers[keep], places[keep], variances[keep], dither)
-
-
-def _flags(levels: Levels, scatter: float, resets: int, period: float) -> tuple[str, ...]:
-    raised = {
-        "no_reset": resets == 0,
-        "few_resets": 0 < resets < FEW_RESETS,
-        "not_settled": not levels.settled,
-        "misfit": scatter > MISFIT,
-        "few_samples_per_step": period < FEW_SAMPLES_PER_STEP,
-    }
-    return tuple(name for name, is_so in raised.items() if is_so)
 
 
 # --------------------

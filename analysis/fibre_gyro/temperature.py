@@ -216,7 +216,12 @@ def fit_over_temperature(
     coefficients = chosen.coefficients[:width]
     latest = int(np.argmin(of_lags))
     order, with_rate = trials[best]
-    to_powers = _to_powers(lowest, highest, reference, most)
+    # from coefficients of the Legendre polynomials to those of the powers of T - T_0
+    to_powers = np.zeros((most + 1, most + 1))
+    shifted = Polynomial([reference, 1.0])
+    for degree in range(most + 1):
+        power = Legendre.basis(degree, domain=[lowest, highest]).convert(kind=Polynomial)(shifted)
+        to_powers[: degree + 1, degree] = power.coef[: degree + 1]
     powers = np.column_stack([to_powers, np.zeros(most + 1)])
     powers_u = likely.standard_u(powers, coefficients)
     ranked = sorted(range(len(trials)), key=lambda one: -float(weight[one]))
@@ -262,16 +267,6 @@ def _columns(trial: tuple[int, bool], most: int) -> list[int]:
 def _legendre(temperature: Floats, lowest: float, highest: float, order: int) -> Floats:
     place = (2 * temperature - lowest - highest) / (highest - lowest)
     return np.asarray(np.polynomial.legendre.legvander(place, order), dtype=np.float64)
-
-
-def _to_powers(lowest: float, highest: float, reference: float, order: int) -> Floats:
-    """Matrix from coefficients of the Legendre polynomials to those of the powers of T - T_0."""
-    matrix = np.zeros((order + 1, order + 1))
-    shifted = Polynomial([reference, 1.0])
-    for degree in range(order + 1):
-        power = Legendre.basis(degree, domain=[lowest, highest]).convert(kind=Polynomial)(shifted)
-        matrix[: degree + 1, degree] = power.coef[: degree + 1]
-    return matrix
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ import numpy as np
 import scipy.special
 from numpy.typing import ArrayLike
 
-from analysis.arrays import Floats, Ints
+from analysis.arrays import Floats
 
 _TIME_CONSTANTS, _OF_TWO = 40, 16
 _LEVELS = 6
@@ -101,7 +101,13 @@ def turn_on_transient(at_s: ArrayLike, values: ArrayLike, bound: float) -> TurnO
         if count == 0:
             continue  # where the noise is next to nothing, all its weights are
         places = rng.choice(weight.size, count, p=weight / weight.sum())
-        amplitudes = _draws(grid, places, value.size, alike, rng)
+        # amplitudes that the data allow there: Student's t about the fitted ones
+        size = 1 + grid.taus.shape[1]
+        freedom = max((value.size - 2 * size + 1) / alike, 1.0)
+        scale = np.sqrt(grid.square[places] / rng.chisquare(freedom, places.size))
+        normal = rng.standard_normal((places.size, size))
+        spread = np.einsum("mij,mj->mi", grid.root[places], normal)
+        amplitudes = np.asarray(grid.amplitudes[places] + scale[:, np.newaxis] * spread, dtype=np.float64)
         final.append(amplitudes[:, 0])
         transient.append(amplitudes[:, 1:].sum(axis=1))
         warm_up.append(_last_outside(amplitudes[:, 1:], grid.taus[places], bound, 20 * end))
@@ -204,16 +210,6 @@ def _log_weight(grid: _Grid, count: float, best_square: float, scatter: float, c
     volume = np.linalg.slogdet(grid.root)[1] - np.linalg.slogdet(constant.root)[1]
     occam = volume + exponentials * (0.5 * math.log(2 * math.pi * noise) - math.log(2 * widest))
     return np.asarray(-(count - 1) / 2 * np.log(grid.square) + occam + math.log(grid.share), dtype=np.float64)
-
-
-def _draws(grid: _Grid, places: Ints, values: int, alike: float, rng: np.random.Generator) -> Floats:
-    """Amplitudes that the data allow at some points of the grid: Student's t about the fitted ones."""
-    size = 1 + grid.taus.shape[1]
-    freedom = max((values - 2 * size + 1) / alike, 1.0)
-    scale = np.sqrt(grid.square[places] / rng.chisquare(freedom, places.size))
-    normal = rng.standard_normal((places.size, size))
-    spread = np.einsum("mij,mj->mi", grid.root[places], normal)
-    return np.asarray(grid.amplitudes[places] + scale[:, np.newaxis] * spread, dtype=np.float64)
 
 
 def _last_outside(amplitudes: Floats, taus: Floats, bound: float, longest: float) -> Floats:

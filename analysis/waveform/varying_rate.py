@@ -121,8 +121,16 @@ def _fitted(record: SampledRecord, seen: FirstPhase) -> tuple[Fitted, Terms, boo
     """The fit, the terms that the data ask for, and whether the rate is noisy."""
     scale = float(np.mean(seen.amplitude)) ** 2
     free, loose = _roughly(SampledRecord(record.values, record.mask * seen.trusted), seen, scale)
-    if seen.step is not None:
-        moved = _with_step_moved(record, loose.trajectory, seen)
+    if seen.step is not None:  # it goes to the sample where the record says it is
+        inside = np.flatnonzero(~seen.trusted)
+        height = float(loose.trajectory.parameters[-1])
+        before = replace(loose.trajectory, parameters=np.concatenate([loose.trajectory.parameters[:-1], [0.0]]))
+        left = ((record.values - record.waveform(before)) * record.mask)[inside]
+        # sums of squares if the step comes before the i-th sample of these
+        below = np.concatenate([[0.0], np.cumsum(left**2)])
+        above = np.concatenate([np.cumsum(((left - height) ** 2)[::-1])[::-1], [0.0]])
+        step = int(inside[0] + np.argmin(below + above))
+        moved = replace(loose.trajectory, terms=replace(loose.trajectory.terms, step=step))
         loose = record.fit(moved, LOOSE / scale, ITERATIONS)
         free = record.fit(moved, FREE / scale, ITERATIONS)
     best = tight = min(free, loose, key=lambda fitted: fitted.evidence)
@@ -168,19 +176,6 @@ def _roughly(record: SampledRecord, seen: FirstPhase, scale: float) -> list[Fitt
         phase, amplitude, offset = fitted.trajectory.phase, fitted.trajectory.amplitude, fitted.trajectory.offset
         fits.append(fitted)
     return fits
-
-
-def _with_step_moved(record: SampledRecord, trajectory: Trajectory, seen: FirstPhase) -> Trajectory:
-    """The step of the offset at the sample where the record says it is."""
-    inside = np.flatnonzero(~seen.trusted)
-    height = float(trajectory.parameters[-1])
-    before = replace(trajectory, parameters=np.concatenate([trajectory.parameters[:-1], [0.0]]))
-    left = ((record.values - record.waveform(before)) * record.mask)[inside]
-    # sums of squares if the step comes before the i-th sample of these
-    below = np.concatenate([[0.0], np.cumsum(left**2)])
-    above = np.concatenate([np.cumsum(((left - height) ** 2)[::-1])[::-1], [0.0]])
-    step = int(inside[0] + np.argmin(below + above))
-    return replace(trajectory, terms=replace(trajectory.terms, step=step))
 
 
 def _likeliest(record: SampledRecord, fitted: Fitted, width: float, finest: float) -> Fitted:

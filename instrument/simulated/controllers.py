@@ -304,24 +304,21 @@ class SimulatedChamber:
         if text == "TEMP?":
             return f"{self.temperature:.1f},{self._set:.1f},{self._HIGHEST:.1f},{self._LOWEST:.1f}"
         if text.startswith("TEMP,S"):
-            return self._go_to(text.removeprefix("TEMP,S"), line)
+            try:
+                wanted = float(text.removeprefix("TEMP,S"))
+            except ValueError:
+                return f"NA:PARAERR:{line}"
+            if not self._LOWEST <= wanted <= self._HIGHEST:
+                return f"NA:DATAOUTOFRANGE:{line}"
+            self._set = wanted
+            if self.on:
+                self._begin(wanted)
+            return f"OK:{line}"
         if text in ("MODE,CONSTANT", "MODE,STANDBY"):
             self.on = text.endswith("CONSTANT")
             self._begin(self._set if self.on else self.temperature)
             return f"OK:{line}"
         return f"NA:CMDERR:{line}"
-
-    def _go_to(self, text: str, line: str) -> str:
-        try:
-            wanted = float(text)
-        except ValueError:
-            return f"NA:PARAERR:{line}"
-        if not self._LOWEST <= wanted <= self._HIGHEST:
-            return f"NA:DATAOUTOFRANGE:{line}"
-        self._set = wanted
-        if self.on:
-            self._begin(wanted)
-        return f"OK:{line}"
 
     def _begin(self, wanted: float) -> None:
         self._from, self._since, self._to = self.temperature, self._clock.now(), wanted

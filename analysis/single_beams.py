@@ -353,9 +353,10 @@ def _beforehand(
 
 def _solutions(data: LaserData) -> list[LaserFit]:
     """The minima that some data allow, the best first, begun where some steps from each start lead."""
-    starts, found, none = _starts(data), list[LaserFit](), NoFit()
+    starts = usual = _starts(data, SATURATION_USUAL)
+    found, none = list[LaserFit](), NoFit()
     # with noise that becomes less what is known leads past narrow valleys; else a start, or another saturation
-    for noise in (_SOFTER, _SOFTER[-1:]):
+    for noise in (_SOFTER, _SOFTER[-1:], (1e4, *_SOFTER)):
         looked = list[Look]()
         for start in starts:
             model = LaserModel(with_usual_gain(data))
@@ -371,21 +372,23 @@ def _solutions(data: LaserData) -> list[LaserFit]:
         except NoFit as error:
             none = error
         found.sort(key=lambda one: one.chi_square)
-        if found and not float(scipy.special.chdtrc(max(data.degrees, 1), found[0].chi_square)) < UNLIKELY:
+        chance = float(scipy.special.chdtrc(max(data.degrees, 1), found[0].chi_square)) if found else 0.0
+        if found and (noise is not _SOFTER or not chance < UNLIKELY):
             break
         place = np.arange(N_PARAMETERS) == SATURATION
-        starts += [np.where(place, other, one.parameters) for one in found[:1] for other in _SATURATIONS]
+        others = [np.where(place, other, one.parameters) for one in found[:1] for other in _SATURATIONS]
+        starts = usual + (others or _starts(data, _SATURATIONS[-1])) if noise is _SOFTER else usual
     if not found:
         raise none
     return [one for one in found if one.chi_square < found[0].chi_square + POSSIBLE]
 
 
-def _starts(data: LaserData) -> list[Floats]:
+def _starts(data: LaserData, saturation: float) -> list[Floats]:
     """Starts by equation (1) and that of the harmonics, linear in C and D, at gains that suit them."""
     gains = np.exp(np.mean(np.log(data.points.points.angular))) / np.geomspace(0.01, 20.0, 24)
     unknown = float(np.max(data.sd[LEVEL])) > 1.0
     levels = np.linspace(-4.0, 4.0, 17) if unknown else np.zeros(1)
-    every = [[_linear(data, float(gain), float(level)) for level in levels] for gain in gains]
+    every = [[_linear(data, float(gain), float(level), saturation) for level in levels] for gain in gains]
     tried = [min(some, key=lambda one: one[1]) for some in every]
     costs = np.array([cost for _, cost in tried])
     edged = np.pad(costs, 1, constant_values=np.inf)
@@ -395,10 +398,10 @@ def _starts(data: LaserData) -> list[Floats]:
     return [tried[place][0] for place in dict.fromkeys(beside)]
 
 
-def _linear(data: LaserData, gain: float, level: float) -> tuple[Floats, float]:
+def _linear(data: LaserData, gain: float, level: float, saturation: float) -> tuple[Floats, float]:
     """Best parameters of the linear equations at a gain and a level, and what they leave."""
     some = data.points.points
-    w, positive, gd = some.angular, some.rate > 0, gain * (1 - SATURATION_USUAL) / (1 + SATURATION_USUAL)
+    w, positive, gd = some.angular, some.rate > 0, gain * (1 - saturation) / (1 + saturation)
     columns = []
     for coupling, other in ((1, 0), (1j, 0), (0, 1), (0, 1j)):
         by_sum = np.where(positive, 1j * coupling, np.conj(1j * coupling)) / (gain + 1j * w)
@@ -425,6 +428,7 @@ def _linear(data: LaserData, gain: float, level: float) -> tuple[Floats, float]:
     for part, one in ((FIRST, (coupling - other) / 2), (SECOND, (coupling + other) / 2)):
         start[part] = math.log(max(abs(one), 1e-3 * abs(coupling))), np.angle(one)
     start[GAIN], start[CROSSTALK], start[DISTORTION] = math.log(gain), values[4:6], values[6]
+    start[SATURATION] = saturation
     start[LEVEL] = level * (data.sd[LEVEL] > 0)
     return start, float(np.sum((system @ values - aims) ** 2))
 

@@ -198,7 +198,17 @@ def _read(text: IO[str], choices: LogChoices) -> GyroLog:
         times[row:] -= by
         clock, _ = _clock(times, counter, table, stated)
         set_at = step_of_clock(times, clock)
-    gaps = _gaps(clock)
+    steps = np.diff(clock.places)
+    gaps = tuple(
+        Gap(
+            int(after),
+            float((clock.places[after] + 1) * clock.interval_s),
+            float((steps[after] - 1) * clock.interval_s),
+            int(steps[after]) - 1,
+            "rows missing",
+        )
+        for after in np.flatnonzero(steps > 1)
+    )
     missing, bad = sum(gap.missing for gap in gaps), Counter(table.bad)
     rest = Recording(
         times=np.asarray(clock.interval_s * clock.places if clock.regular or times is None else times - times[0]),
@@ -384,20 +394,6 @@ def _counted(counter: Floats, table: LogTable) -> Places:
         raise FileFormatError(
             f"line {table.lines[int(str(error))]}: the counter stands still; rows are doubled"
         ) from None
-
-
-def _gaps(clock: LogClock) -> tuple[Gap, ...]:
-    steps = np.diff(clock.places)
-    return tuple(
-        Gap(
-            int(after),
-            float((clock.places[after] + 1) * clock.interval_s),
-            float((steps[after] - 1) * clock.interval_s),
-            int(steps[after]) - 1,
-            "rows missing",
-        )
-        for after in np.flatnonzero(steps > 1)
-    )
 
 
 # --------------------

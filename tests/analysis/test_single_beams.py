@@ -610,6 +610,14 @@ def test_a_start_that_has_no_steady_beat_begins_with_less_backscatter():
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(("plan", "seed"), [("3 30, one sense", 100_079), ("3 5 9 17 30, one sense", 100_063)])
+def test_where_no_look_finds_a_laser_others_are_tried(plan, seed):
+    """The first is found from a start with another saturation only, the second through valleys of more noise."""
+    found = beams.outcome(beams.PLANS[plan], seed)
+    assert found is not None and abs(found.pull) < 3 and not found.flags & BeamsFlag.MISFIT
+
+
+@pytest.mark.slow
 def test_a_minimum_that_no_search_finds_again_ends_no_run():
     """Other minima were found after it, and their solutions are too far from it."""
     assert beams.outcome(beams.PLANS["3 5 9 17 30, both senses"], 300_023) is not None

@@ -202,8 +202,11 @@ class AcquisitionSystem:
         if not self.running or not (shown := self._displayed_channels()):
             return
         now = self._caught_up = self._clock.now()
-        if self._panel.scanning:
-            self._update_scan(now)
+        if self._panel.scanning:  # a single sequence ends when the screen is full
+            full = self._sweep.began + DIVISIONS * self._panel.seconds_per_division
+            if self.single and now >= full:
+                self.record = self._rolling_record(full)
+                self._panel.values["ACQUIRE:STATE"] = 0
             return
         trigger = self._panel.trigger()
         if trigger.mode == "AUTO" and self._sweep.triggered_at is None and self.acquisitions:
@@ -414,13 +417,6 @@ class AcquisitionSystem:
                 return at, edge is None
             ready_at -= min(at + self._after - self._caught_up, self._cycle + AUTO_WAIT)
         return None
-
-    def _update_scan(self, now: float) -> None:
-        """A single sequence in scan mode ends when the screen is full."""
-        full = self._sweep.began + DIVISIONS * self._panel.seconds_per_division
-        if self.single and now >= full:
-            self.record = self._rolling_record(full)
-            self._panel.values["ACQUIRE:STATE"] = 0
 
     def _rolling_record(self, until: float) -> DigitizedRecord:
         return DigitizedRecord(

@@ -88,7 +88,15 @@ def mean_over_turns(
     gone = np.isnan(words)
     if gone.any():
         _refuse_too_many(gone)
-        words = _filled(words, weight, wave)
+        # as mean and once-per-turn sine of the others have them
+        there = ~np.isnan(words)
+        design = np.column_stack([np.ones(words.size), wave.real, wave.imag])
+        root = np.sqrt(weight[there])
+        level = float(words[there].mean())
+        fitted, *_ = np.linalg.lstsq(
+            design[there] * root[:, np.newaxis], (words[there] - level) * root, rcond=None
+        )
+        words = np.where(there, words, level + design @ fitted)
         total = float(words @ weight)
     else:
         total = float(words[:whole].sum()) + (part * float(words[whole]) if part > 0 else 0.0)
@@ -171,16 +179,6 @@ def _refuse_too_many(gone: Bools) -> None:
     missing = int(gone.sum())
     if missing > _MOST_MISSING * gone.size or missing > gone.size - 2:
         raise ValueError(f"{missing} of {gone.size} output words are missing")
-
-
-def _filled(words: Floats, weight: Floats, wave: Complexes) -> Floats:
-    """Words with those that are missing put in as mean and once-per-turn sine of the others have them."""
-    there = ~np.isnan(words)
-    design = np.column_stack([np.ones(words.size), wave.real, wave.imag])
-    root = np.sqrt(weight[there])
-    level = float(words[there].mean())
-    fitted, *_ = np.linalg.lstsq(design[there] * root[:, np.newaxis], (words[there] - level) * root, rcond=None)
-    return np.where(there, words, level + design @ fitted)
 
 
 def _sine(words: Floats, wave: Complexes, mean: float, turns: int) -> tuple[complex, float]:

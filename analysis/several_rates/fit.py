@@ -443,7 +443,15 @@ def _result(
     explained = not failed and bool(np.all(np.abs(off) < MISMATCH) and abs(np.median(off)) < FASTER_THAN_POSSIBLE)
     differ &= not explained
     if differ and (failed or not tested) and not records.rate_of_beat:
-        said = widened(said, _by_other_reference(points.points, said.value, common) / math.sqrt(3))
+        # Where beats are not those of their rates, and the ratios do not fit either or test nothing, nobody knows
+        # which of the two is right.
+        rate, beat_rate = np.abs(points.points.rate), points.points.beat_rate / (1 + common)
+        if points.points.reference == "beat":
+            changed = rate / np.hypot(beat_rate, said.value)
+        else:
+            square = np.maximum((rate - said.value) * (rate + said.value), 1e-300)
+            changed = beat_rate / np.sqrt(square)
+        said = widened(said, float(np.abs(changed - 1).max()) / math.sqrt(3))
     said = widened(said, _OF_ALL * points.uneven / math.sqrt(3))
     if chosen == "all" and not lasers and fit.parameters[0, 3] > _GAIN_SEEN * np.sqrt(fit.covariance[0, 3, 3]):
         delay = 2 * math.pi * records.scale_factor * said.value * float(fit.parameters[0, 3])
@@ -576,19 +584,6 @@ def _rates_differ(of: UsedRecords, said: RatesAnswer, mismatch: Floats, several:
         return 0.0, True
     common = mismatch_of_all(rate, said.value, said.u, mismatch) if several else 0.0
     return common, rates_differ(rate, said.value, said.u, mismatch, of.rate_u, common)
-
-
-def _by_other_reference(points: RatioData, lock_in_rate: float, common: float) -> float:
-    """Largest relative change of the lock-in rate of any point with the other reference, beside what is common."""
-    # Where beats are not those of their rates, and the ratios do not fit either or test nothing, nobody knows
-    # which of the two is right.
-    rate, beat_rate = np.abs(points.rate), points.beat_rate / (1 + common)
-    if points.reference == "beat":
-        changed = rate / np.hypot(beat_rate, lock_in_rate)
-    else:
-        square = np.maximum((rate - lock_in_rate) * (rate + lock_in_rate), 1e-300)
-        changed = beat_rate / np.sqrt(square)
-    return float(np.abs(changed - 1).max())
 
 
 # --------------------

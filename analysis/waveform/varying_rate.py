@@ -58,6 +58,8 @@ COARSEST, FINEST = 1.2, 0.5
 SILENT = 1e-6
 """Noise over amplitude below which no converter goes: all there is has then been taken for noise of the rate."""
 
+ABOUT, ITSELF = (0.6, 1.6), 1.2  # lines about the beat, over its own; so near to it s and c have taken them
+
 NEARLY_LOCKED = 0.99999
 
 SLOWEST = 1.02
@@ -105,7 +107,8 @@ def fit_moving_rate(values: Floats, mask: Floats) -> MovingFits | None:
     try:
         with np.errstate(all="ignore"):  # a step too far gives nan, and is taken back
             fitted, needed, noisy = _fitted(record, seen)
-            fits = as_beats(_path_of(record, fitted, moves=noisy or needed.rate > 1))
+            louder = _louder_at_beat(fitted) if noisy else np.zeros(2)
+            fits = as_beats(_path_of(record, fitted, louder, moves=noisy or needed.rate > 1))
             if noisy:
                 of_steps = np.abs(np.fft.rfft(fitted.moved)[1:]) ** 2
                 silent = fitted.variance < (SILENT * float(np.mean(seen.amplitude))) ** 2
@@ -218,7 +221,23 @@ def smooth_motions(values: Floats, mask: Floats, phase: Floats | None = None) ->
     return moved, smooth
 
 
-def _path_of(record: SampledRecord, fitted: Fitted, *, moves: bool) -> Paths:
+def _louder_at_beat(fitted: Fitted) -> Floats:
+    """Variance of s and c by noise of the rate that is stronger about the beat than it is in the mean, (2,)."""
+    # Whatever the rate does at the beat itself looks like s and c. Steps of a variance v, seen through noise of n,
+    # have lines of v^2/(v + n); polynomials take what is slower than half of their number.
+    at, count = fitted.trajectory, fitted.moved.size
+    step, periods = fitted.looseness * fitted.variance, float(at.phase[-1] - at.phase[0]) / (2 * np.pi)
+    number = np.arange(count // 2 + 1)
+    through = 2 * fitted.variance * (2 * np.pi * number / count / at.amplitude[0]) ** 2
+    lines = np.abs(np.fft.rfft(fitted.moved)) ** 2 / count * (step + through) / step**2
+    near = (number > max(ABOUT[0] * periods, at.terms.rate / 2)) & (number < ABOUT[1] * periods)
+    near &= np.abs(number - periods) > ITSELF
+    surplus = float(np.mean(lines[near])) - 1 if near.any() else 0.0
+    size = surplus * step / count if surplus > 0 else 0.0
+    return np.asarray(size / np.var([np.sin(at.phase), np.cos(at.phase)], axis=1))
+
+
+def _path_of(record: SampledRecord, fitted: Fitted, louder: Floats, *, moves: bool) -> Paths:
     """What a trajectory says of its record."""
     trajectory, terms, n_samples = fitted.trajectory, fitted.trajectory.terms, record.values.size
     to_amplitude, to_offset = record.columns(terms)
@@ -237,7 +256,7 @@ def _path_of(record: SampledRecord, fitted: Fitted, *, moves: bool) -> Paths:
     single = (
         rate,
         pull,
-        fitted.covariance[np.ix_(places, places)],
+        fitted.covariance[np.ix_(places, places)] + np.diag([0.0, *louder]),
         (z - 1j * ratio) / (ratio * z - 1j),  # exp(i psi) = i (r - u)/(1 - r u), psi the phase less gamma
         float(np.mean(height)),
         float(np.mean(offset)),

@@ -141,7 +141,11 @@ class FibreGyroLink:
         to_come = list(inject_at)
         for _ in fill(builder):
             if to_come and (builder.index + 1) * interval_s >= to_come[0][0]:
-                self._send_step(to_come.pop(0)[1])
+                number = round(to_come.pop(0)[1] * self.layout.step_scale)
+                for answer in (self.layout.accepted, self.layout.refused):
+                    if answer is not None:
+                        self._stream.expect(compose(answer, number, self.layout.check))
+                self._write(compose(self.layout.commands["inject"], number, self.layout.check))
             if progress is not None:
                 progress(min((builder.index + 1) * interval_s, (skip + wanted) * interval_s))
             if builder.done:
@@ -276,14 +280,6 @@ class FibreGyroLink:
     def hold_feedback(self) -> None:
         """Freeze the feedback at its present step. Errors as `inject`."""
         self._tell("hold_feedback", 0)
-
-    def _send_step(self, step_codes: float) -> None:
-        """Inject without waiting for the answer."""
-        number = round(step_codes * self.layout.step_scale)
-        for answer in (self.layout.accepted, self.layout.refused):
-            if answer is not None:
-                self._stream.expect(compose(answer, number, self.layout.check))
-        self._write(compose(self.layout.commands["inject"], number, self.layout.check))
 
     def _tell(self, name: str, number: int) -> None:
         message = self.layout.commands.get(name)

@@ -172,7 +172,18 @@ def document_of(found: Sniffed, formats: Mapping[str, KnownFormat]) -> dict[str,
         "doubts": list(best.doubts) if best is not None else [],
         "as_likely": [one.name for one in found.as_likely],
         "formats": [_trial(one, formats[one.name]) for one in found.trials],
-        "structure": _structure(found.structure) if found.structure is not None else None,
+        "structure": {
+            "text": found.structure.text,
+            "frame_length": found.structure.length or None,
+            "constant_bytes": {str(place): f"{byte:02X}" for place, byte in found.structure.constant.items()},
+            "counting_bytes": {str(place): step for place, step in found.structure.counting.items()},
+            "checksums": list(found.structure.checks),
+            "highest_bit_clear": list(found.structure.highest_bit_clear),
+            "remarks": list(found.structure.remarks),
+            "example": found.structure.example.hex(" ").upper(),
+        }
+        if found.structure is not None
+        else None,
         "tried_lines": list(found.quiet),
     }
 
@@ -196,19 +207,6 @@ def _trial(one: Trial, known: KnownFormat) -> dict[str, Any]:
         "difference_ppm": clock.difference_ppm if clock is not None else None,
         "bytes_unexplained": 1 - one.explained,
         "doubts": list(one.doubts),
-    }
-
-
-def _structure(found: Structure) -> dict[str, Any]:
-    return {
-        "text": found.text,
-        "frame_length": found.length or None,
-        "constant_bytes": {str(place): f"{byte:02X}" for place, byte in found.constant.items()},
-        "counting_bytes": {str(place): step for place, step in found.counting.items()},
-        "checksums": list(found.checks),
-        "highest_bit_clear": list(found.highest_bit_clear),
-        "remarks": list(found.remarks),
-        "example": found.example.hex(" ").upper(),
     }
 
 

@@ -141,8 +141,13 @@ class AcquisitionSystem:
             return "ARMED"
         if sweep.triggered_at is not None:
             return "AUTO" if sweep.forced else "TRIGGER"
-        if now > sweep.ready_at + self._usual_wait:
-            self._look_for_the_one_before()
+        late, before = now > sweep.ready_at + self._usual_wait, self._swept[-1] if self._swept else None
+        if late and isinstance(before, _LeftOut):  # had the acquisition that was left out a trigger?
+            self._swept.pop()
+            triggered = self._edge_after(before.ready_at, self._panel.trigger())
+            if triggered is not None:
+                at, self._untriggered = triggered
+                self._swept.append(self._start(at))
         return "AUTO" if self._untriggered else "READY"
 
     def next_change(self) -> float:
@@ -397,15 +402,6 @@ class AcquisitionSystem:
                 latest = ready_at
             if latest - earliest < self._cycle:
                 return last
-
-    def _look_for_the_one_before(self) -> None:
-        """Find out whether the acquisition before this one had a trigger, if it was left out."""
-        if self._swept and isinstance(before := self._swept[-1], _LeftOut):
-            self._swept.pop()
-            triggered = self._edge_after(before.ready_at, self._panel.trigger())
-            if triggered is not None:
-                at, self._untriggered = triggered
-                self._swept.append(self._start(at))
 
     def _edge_after(self, ready_at: float, trigger: TriggerSettings) -> tuple[float, bool] | None:
         """When an acquisition that is over by now was triggered, and whether by AUTO; None: not at all."""

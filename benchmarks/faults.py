@@ -188,7 +188,7 @@ def measure(share: float, *, records: int, seed: int) -> EndedRun:
                 "output": settings.output.model_copy(update={"directory": folder}),
             }
         )
-        taken = start_run(measurement("measure"), settings, Progress(quiet=True))
+        taken = start_run(measurement("measure"), settings, Progress())
         run = open_run(taken.path)
         numbers = []
         for record in run.taken_for("measure"):

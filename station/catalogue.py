@@ -76,7 +76,7 @@ def list_runs(directory: Path, *, progress: Progress | None = None) -> list[Entr
 
 
 def _looked_at(directory: Path, paths: list[str], progress: Progress | None) -> Iterator[dict[str, Entry | None]]:
-    told = progress if progress is not None and len(paths) >= _MANY else Progress(quiet=True)
+    told = progress if progress is not None and len(paths) >= _MANY else Progress()
     told.start("looking at runs", len(paths))
     for first in range(0, len(paths), _AT_ONCE):
         seen = {}

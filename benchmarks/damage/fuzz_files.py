@@ -218,7 +218,7 @@ def _damaged_runs(folder: Path, source: random.Random) -> list[Maker]:
         "output": {"directory": str(folder / "runs")},
     }
     kind = measurement("measure")
-    taken = start_run(kind, load(kind.kind, None, settings), Progress(quiet=True))
+    taken = start_run(kind, load(kind.kind, None, settings), Progress())
     save_result(taken.path, evaluate_run(open_run(taken.path)).document())
     content, copy = taken.path.read_bytes(), folder / "x.sqlite"
 

@@ -39,7 +39,7 @@ DESIGN = 2**16 * 1000 * 0.1 / (1.55e-6 * 299_792_458) * np.pi / 180  # of the sh
 WALK = 0.005  # deg/sqrt(h)
 TILT = 1e-3
 NORMAL_95 = 1.959964
-QUIET = Progress(quiet=True)
+QUIET = Progress()
 
 
 @dataclass

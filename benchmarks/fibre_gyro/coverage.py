@@ -35,7 +35,7 @@ Answers = dict[str, bool]
 Case = Callable[[Gyro, int, Path], Answers]
 
 NORMAL_95 = 1.959964
-QUIET = Progress(quiet=True)
+QUIET = Progress()
 MEMORY = Path("/dev/shm")
 """Runs are durable: on a disk each record would wait for it."""
 

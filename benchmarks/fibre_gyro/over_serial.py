@@ -116,7 +116,7 @@ def serial_case(gyro: Gyro, seed: int, folder: Path, command: str) -> dict[str, 
         bench = SerialFogBench(link, model, lambda question: "")
         facts = facts_of(command, settings.model_dump(mode="json"), simulated=False)
         done = take(
-            Acquisition(facts, folder, Progress(quiet=True)),
+            Acquisition(facts, folder, Progress()),
             lambda session: take_segments(settings, session, nullcontext(bench), [lambda run: plan], {}),
         )
         bench.leave()

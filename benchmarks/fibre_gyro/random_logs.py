@@ -19,7 +19,8 @@ import numpy as np
 
 from instrument import FileFormatError
 from instrument.fibre_gyro import LogChoices, read_log
-from station.live.events import Progress
+from station.live.console import PlainLines
+from station.live.events import Events, Progress
 
 LONGEST = 5.0  # s of work that one log may take
 HEADERS = ("time", "t [s]", "time_ms", "timestamp", "date", "counter", "n", "")
@@ -106,7 +107,8 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--seed", type=int, default=1)
     chosen = parser.parse_args(arguments)
     ends, failures, longest, count = Counter[str](), list[str](), 0.0, int(chosen.count)
-    progress = Progress()
+    progress = Progress(events := Events())
+    events.read_by(PlainLines())
     progress.start("thousands of logs", count // 1000)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "log.csv"

@@ -195,7 +195,7 @@ def measured(bench: Bench) -> Outcome:
     with tempfile.TemporaryDirectory() as folder:
         settings = load_settings(overrides={**bench.settings, "output": {"directory": folder}})
         try:
-            taken = start_run(MEASUREMENT, settings, Progress(quiet=True))
+            taken = start_run(MEASUREMENT, settings, Progress())
             if taken.failure is not None:
                 failure = taken.failure
                 return Outcome(bench, truth, refused=failure.message, exit_code=failure.exit_code)

@@ -84,7 +84,7 @@ def _analysis(mode: str, folder: Path, processes: int) -> tuple[float, float, fl
     from station.sources.workers import Processes
 
     estimate_lock_in(np.zeros((2, SAMPLES)), INTERVAL, scale_factor=SCALE_FACTOR)  # what is made once
-    began, quiet = _begin(), Progress(quiet=True)
+    began, quiet = _begin(), Progress()
     with Processes(processes) as workers:
         if mode == "table":
             with tempfile.TemporaryDirectory() as place:

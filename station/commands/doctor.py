@@ -219,7 +219,7 @@ def _test_record() -> Check:
             bench.scope.set_timebase(0.025)
             waveforms, conditions = take_record(bench, ("CH1",))
             writer.save_records(acquisition_records("measure", "1", waveforms, ("CH1",), conditions))
-        evaluation = evaluate_records(open_run(writer.path), settings, {}, ThisProcess(), Progress(quiet=True))
+        evaluation = evaluate_records(open_run(writer.path), settings, {}, ThisProcess(), Progress())
         name = bench.scope.resource_name
     if not evaluation.usable:
         return Check("test record", "bad", f"the simulated scope at {name} gave no lock-in rate")

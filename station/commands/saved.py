@@ -122,7 +122,7 @@ def _evaluated(
     from station.sources.find import is_run, open_source
     from station.sources.workers import ThisProcess
 
-    first, workers, quiet = sources[0], ThisProcess(), Progress(quiet=True)
+    first, workers, quiet = sources[0], ThisProcess(), Progress()
     if is_run(first):
         evaluated = evaluate_saved(first, workers, quiet, config=config, choices={})
         return evaluated, evaluated.run.path.parent / REPORT_FILE if isinstance(first, Path) else _beside(first)

@@ -213,16 +213,10 @@ def _writable(descriptor: int) -> bool:
 
 
 class Progress:
-    """Tells how far a run is, as events."""
+    """Tells how far a run is, as events; without any, nobody hears it."""
 
-    def __init__(self, events: Events | None = None, *, quiet: bool = False) -> None:
-        if events is None:
-            events = Events()
-            if not quiet:
-                from station.live.console import PlainLines
-
-                events.read_by(PlainLines())
-        self.events = events
+    def __init__(self, events: Events | None = None) -> None:
+        self.events = Events() if events is None else events
         self._what, self._total, self._done = "", 0, 0
         self._began = self._all_began = 0.0
         self._all_total = self._all_done = self._all_before = 0

@@ -164,7 +164,7 @@ class FileRun(Run):
             check_over_time(record.waveform, record.name)
         if len(self._sources) == 1:
             return analyze_file(self._sources[0], None, given)
-        return combine(self._sources, given, ThisProcess(), Progress(quiet=True))
+        return combine(self._sources, given, ThisProcess(), Progress())
 
 
 def open_run(path: PathLike) -> TakenRun:

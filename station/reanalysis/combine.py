@@ -390,7 +390,7 @@ def analyze_file(source: Path | Source, config: Path | None, choices: Mapping[st
     chosen = {name: value for name, value in choices.items() if value is not None}
     if "scale_factor" not in chosen:
         chosen["scale_factor"] = scale_factor_of_files(config, [source])
-    analyzed = combine([opened], chosen, ThisProcess(), Progress(quiet=True), config=config)
+    analyzed = combine([opened], chosen, ThisProcess(), Progress(), config=config)
     if int(analyzed.found.combined.flags) & int(Flag.NO_BEAT | Flag.CONSTANT):
         return analyzed
     if (harmonics := harmonics_of(waveform)) is None:

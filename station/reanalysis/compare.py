@@ -307,7 +307,7 @@ def read_records(
         choices = {**choices, "scale_factor": scale_factor_of_files(config, files)}
     choices = {**choices, "front_end": front_end_of_files(config)}
     work = Work(sources, choices, whole=True)
-    parts = [rows for found in work.done_by(workers, rows_of_pieces, Progress(quiet=True)) for rows in found]
+    parts = [rows for found in work.done_by(workers, rows_of_pieces, Progress()) for rows in found]
     left_out = tuple(one for part in parts for one in part.left_out)
     if left_out and not any(part.count for part in parts):
         raise RunError(f"{left_out[0]}")
@@ -334,7 +334,7 @@ def _with_headline(side: ComparedRecords, workers: Workers, config: Path | None)
     """Evaluate a run, or records at one rate, with their budget; as it is where they have no one result."""
     if side.choices is None:
         return side
-    quiet = Progress(quiet=True)
+    quiet = Progress()
     choices = {name: value for name, value in side.choices.items() if name != "front_end"}
     try:
         sources = list(find_sources([side.name]))

@@ -155,7 +155,7 @@ def evaluate_run(
     kind, settings, wanted = _how(run, config, choices or {})
     if not kind.streams:
         run = whole(source_of(run))
-    reason, workers, progress = "", workers or ThisProcess(), progress or Progress(quiet=True)
+    reason, workers, progress = "", workers or ThisProcess(), progress or Progress()
     for taken in (run, run.whole) if run.damaged and not kind.streams else (run,):
         try:
             found = kind.evaluate(taken, settings, wanted, workers, progress)

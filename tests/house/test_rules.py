@@ -138,7 +138,7 @@ def test_the_house_can_be_taken_in() -> None:
     every = {name: count for folder in PACKAGES for name, count in lines(folder).items()}
     classes = [node for tree in ours().values() for node in ast.walk(tree) if isinstance(node, ast.ClassDef)]
     assert len(every) <= 258
-    assert sum(every.values()) <= 83_408
+    assert sum(every.values()) <= 83_400
     assert len(classes) <= 732
 
 

@@ -53,11 +53,11 @@ def test_a_run_goes_on_with_the_scope_that_it_was_begun_with_only(tmp_path: Path
         facts, panel = dict(open_run(cut.path).facts), faults.front_panel(scope)
         scope.faults.identity = "TEKTRONIX,TDS 2014,0,CF:91.1CT FV:v5.00 TDS2CM:CMV:v1.04"
         with pytest.raises(WrongInstrument, match=r"was begun with 'TEKTRONIX.*v5\.00.*take a new run"):
-            resume_run(cut.path, Progress(quiet=True), kind=kind)
+            resume_run(cut.path, Progress(), kind=kind)
         assert dict(open_run(cut.path).facts) == facts
         assert faults.front_panel(scope) == panel
         scope.faults.identity = None
-        resume_run(cut.path, Progress(quiet=True), kind=kind)
+        resume_run(cut.path, Progress(), kind=kind)
     assert len(open_run(cut.path).taken_for("measure")) == 5
 
 

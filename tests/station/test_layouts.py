@@ -34,7 +34,7 @@ def test_a_run_of_an_earlier_layout_is_gone_on_with(name, version, taken, planne
     before = open_run(path)
     assert all(record.intact for record in before.records)
     assert len(before.taken_for("measure")) == taken
-    resumed = resume_run(path, Progress(quiet=True), kind=measurement("measure"))
+    resumed = resume_run(path, Progress(), kind=measurement("measure"))
     assert resumed.failure is None
     after = open_run(path)
     assert all(record.intact for record in after.records)

@@ -184,7 +184,7 @@ def test_a_rate_that_does_not_fit_the_beat_is_asked_again(tmp_path: Path, insist
     instruments = build_instruments(settings, VirtualClock())
     operator = Careless(instruments, insists)
     facts = facts_of("measure", settings.model_dump(mode="json"), simulated=True)
-    session = Acquisition(facts, tmp_path, Progress(quiet=True))
+    session = Acquisition(facts, tmp_path, Progress())
     with serve(instruments.scope, "tcp") as resource, open_scope(resource, simulated=True) as scope:
         turned = Bench(scope, ManualRateTable(ask=operator), sleep=instruments.clock.sleep)
         taken = take(session, lambda of: take_on(turned, settings, of))
@@ -244,7 +244,7 @@ def test_the_rates_of_a_sweep_are_checked_against_the_beat(
     instruments = build_instruments(settings, VirtualClock())
     operator = Sweeping(instruments, wrong, insists)
     facts = facts_of("deadband", settings.model_dump(mode="json"), simulated=True)
-    session = Acquisition(facts, tmp_path, Progress(quiet=True))
+    session = Acquisition(facts, tmp_path, Progress())
     with serve(instruments.scope, "tcp") as resource, open_scope(resource, simulated=True) as scope:
         clock = instruments.clock
         turned = Bench(scope, ManualRateTable(ask=operator), sleep=clock.sleep, now=clock.now)

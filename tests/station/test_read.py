@@ -28,7 +28,7 @@ def settings_of(run: SavedRun) -> Settings:
 
 
 def evaluated(run: SavedRun) -> LockInEvaluation:
-    return evaluate_records(run, settings_of(run), {}, ThisProcess(), Progress(quiet=True))
+    return evaluate_records(run, settings_of(run), {}, ThisProcess(), Progress())
 
 
 @pytest.fixture(scope="module")
@@ -115,7 +115,7 @@ def of_files(waves: list[Waveform], folder: Path) -> LockInEvaluation:
     for name, wave in zip("abcd", waves, strict=False):
         (folder / f"{name}.csv").write_text(csv_text(wave, {}), encoding="ascii")
     files = sorted(folder.glob("*.csv"))
-    return combine(files, {"scale_factor": 2000.0}, ThisProcess(), Progress(quiet=True)).found
+    return combine(files, {"scale_factor": 2000.0}, ThisProcess(), Progress()).found
 
 
 def test_files_are_evaluated_without_a_bench(tmp_path: Path) -> None:

@@ -65,7 +65,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> SavedRun:
         measurement={"rates_over_lock_in": [8.0], "records": 3}, output={"directory": str(folder)}
     )
     settings = load_settings(folder / "my.toml", overrides=overrides)
-    taken = start_run(MEASUREMENT, settings, Progress(quiet=True))
+    taken = start_run(MEASUREMENT, settings, Progress())
     assert taken.failure is None
     return open_run(taken.path)
 

@@ -22,7 +22,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
     folder = tmp_path_factory.mktemp("analyze")
     overrides = ideal_bench(measurement={"records": 5}, output={"directory": str(folder)})
-    return start_run(MEASUREMENT, load_settings(overrides=overrides), Progress(quiet=True)).path
+    return start_run(MEASUREMENT, load_settings(overrides=overrides), Progress()).path
 
 
 @pytest.mark.slow

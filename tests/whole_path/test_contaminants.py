@@ -33,7 +33,7 @@ def measured(folder: Path, contaminants: dict[str, Any], **sections: dict[str, A
         scope={"bandwidth_limit": False} | sections.pop("scope", {}),
         **sections,
     )
-    taken = start_run(MEASUREMENT, load_settings(overrides=overrides), Progress(quiet=True))
+    taken = start_run(MEASUREMENT, load_settings(overrides=overrides), Progress())
     assert taken.failure is None
     return evaluate_run(open_run(taken.path)).found
 

@@ -86,7 +86,7 @@ def measured(folder: Path, seed: int, records: int) -> SavedRun:
         simulation={"seed": seed, "link": "tcp"},
         output={"directory": str(folder)},
     )
-    taken = start_run(MEASUREMENT, load_settings(overrides=overrides), Progress(quiet=True))
+    taken = start_run(MEASUREMENT, load_settings(overrides=overrides), Progress())
     assert taken.failure is None
     return open_run(taken.path)
 
@@ -239,7 +239,7 @@ def test_any_gyro_is_measured(tmp_path: Path, gyro: dict[str, float], true: floa
         simulation={"seed": 3, "link": "tcp", "lock_in_rate_dps": true},
         output={"directory": str(tmp_path)},
     )
-    taken = start_run(MEASUREMENT, load_settings(overrides=overrides), Progress(quiet=True))
+    taken = start_run(MEASUREMENT, load_settings(overrides=overrides), Progress())
     assert taken.failure is None
     found = evaluate_run(open_run(taken.path)).found
     assert found.several is not None
@@ -257,10 +257,10 @@ def test_a_run_whose_rates_were_chosen_anew_goes_on_with_them(tmp_path: Path) ->
         output={"directory": str(tmp_path)},
     )
     settings = load_settings(overrides=overrides)
-    whole = open_run(start_run(MEASUREMENT, settings, Progress(quiet=True)).path)
+    whole = open_run(start_run(MEASUREMENT, settings, Progress()).path)
     cut = start_run(MEASUREMENT, settings, Interrupting(after=9))
     assert cut.failure is not None
-    resume_run(cut.path, Progress(quiet=True), kind=MEASUREMENT)
+    resume_run(cut.path, Progress(), kind=MEASUREMENT)
     assert [record.key for record in open_run(cut.path).records] == [record.key for record in whole.records]
     assert open_run(cut.path).facts["plan"] == whole.facts["plan"]
     assert whole.facts["plan"]["changes"] > 0

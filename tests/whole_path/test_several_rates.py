@@ -32,7 +32,7 @@ def taken(folder: Path, progress: Progress | None = None, **sections: dict[str, 
         **sections,
     )
     settings = load_settings(overrides=overrides)
-    return open_run(start_run(MEASUREMENT, settings, progress or Progress(quiet=True)).path)
+    return open_run(start_run(MEASUREMENT, settings, progress or Progress()).path)
 
 
 @pytest.mark.slow
@@ -184,7 +184,7 @@ def test_a_measured_response_travels_with_the_run(tmp_path: Path) -> None:
     (tmp_path / "my.toml").write_text('[front_end]\nresponse_file = "channel.csv"\n')
     overrides = ideal_bench(output={"directory": str(tmp_path)}, measurement={"records": 2, "tilt_records": 2})
     settings = load_settings(tmp_path / "my.toml", overrides=overrides)
-    run = open_run(start_run(MEASUREMENT, settings, Progress(quiet=True)).path)
+    run = open_run(start_run(MEASUREMENT, settings, Progress()).path)
     (tmp_path / "channel.csv").unlink()
     evaluation = evaluate_run(run).found
     assert "corrected for the response" in evaluation.combined.noise_model

@@ -33,7 +33,7 @@ Write = Callable[..., Path]
 
 
 def outcome_of(file: Path, unit: str, **more: Any) -> CampaignOutcome:
-    return conduct(read_campaign(file, unit), Progress(quiet=True), operator="Li", **more)
+    return conduct(read_campaign(file, unit), Progress(), operator="Li", **more)
 
 
 UNITS = [("GOOD", 0.009, "PASS", 0), ("LIMIT", 0.010, "MARGINAL", 6), ("BAD", 0.011, "FAIL", 1)]

@@ -118,7 +118,7 @@ def test_what_may_differ_is_not_shared(other: dict[str, Any]) -> None:
 
 
 def outcome_of(file: Path, unit: str, **more: Any) -> CampaignOutcome:
-    return conduct(read_campaign(file, unit), Progress(quiet=True), **more)
+    return conduct(read_campaign(file, unit), Progress(), **more)
 
 
 WARM = """
@@ -382,7 +382,7 @@ def test_a_program_killed_behind_its_answer_is_not_run_again(
 ) -> None:
     counted = CHECKS.replace("    print(", "    open('runs.txt', 'a').write('x')\n    print(")
     plan = read_campaign(programs(checks=counted), "RLG 7")
-    outcome = conduct(plan, Progress(quiet=True))
+    outcome = conduct(plan, Progress())
     journal = outcome.directory / "test.jsonl"
     lines = journal.read_text().splitlines()
     place = next(n for n, line in enumerate(lines) if '"step_ended"' in line)
@@ -391,7 +391,7 @@ def test_a_program_killed_behind_its_answer_is_not_run_again(
     assert run is not None
     with RunWriter(run) as writer:
         writer.save_facts({"outcome": None, "ended_at": None})
-    again = conduct(plan, Progress(quiet=True), resumed=outcome.directory)
+    again = conduct(plan, Progress(), resumed=outcome.directory)
     assert again.verdict == outcome.verdict == "PASS"
     assert again.steps[0].limits == outcome.steps[0].limits
     assert (tmp_path / "runs.txt").read_text() == "x"

@@ -34,7 +34,7 @@ def sweep(tmp_path_factory: pytest.TempPathFactory) -> Sweep:
     def take(**sections: dict[str, Any]) -> SavedRun:
         if (name := repr(sections)) not in taken:
             settings = settings_of(tmp_path_factory.mktemp("sweep"), **sections)
-            done = start_run(MEASUREMENT, settings, Progress(quiet=True))
+            done = start_run(MEASUREMENT, settings, Progress())
             assert done.failure is None
             taken[name] = open_run(done.path)
         return taken[name]

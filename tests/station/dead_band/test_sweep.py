@@ -19,7 +19,7 @@ from station.settings import load
 from station.shell.finish import evaluate_run, resume_run, start_run
 from tests.station.dead_band.conftest import Sweep, settings_of
 
-QUIET = Progress(quiet=True)
+QUIET = Progress()
 
 
 def test_the_rates_of_one_sense_lie_between_those_of_the_other(tmp_path: Path) -> None:

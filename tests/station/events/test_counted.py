@@ -38,7 +38,7 @@ def test_records_are_counted_over_all_rates(tmp_path: Path, monkeypatch: pytest.
 
 
 def test_the_whole_count_goes_on_where_the_plan_changes() -> None:
-    progress, seen = Progress(quiet=True), []
+    progress, seen = Progress(), []
     progress.events.read_by(lambda event: seen.append(event.facts) if event.kind == "counted" else None)
     progress.of_all(10, 4)
     for parts, total in ((2, 10), (1, 7)):
@@ -54,7 +54,7 @@ def test_a_second_run_of_one_program_has_its_own_count(tmp_path: Path) -> None:
     """As the steps of a campaign: what the first counted is no part of the second, of whatever kind."""
     settings = load_settings(overrides=ideal_bench(measurement={"records": 2}, table={"kind": "none"}))
     seen: list[dict[str, object]] = []
-    progress = Progress(quiet=True)
+    progress = Progress()
     progress.events.read_by(lambda event: seen.append(dict(event.facts)) if event.kind == "counted" else None)
     for _ in range(2):
         instruments = build_instruments(settings, VirtualClock())
@@ -70,7 +70,7 @@ def test_a_link_that_is_lost_is_told_at_once(tmp_path: Path) -> None:
     settings = load_settings(overrides=ideal_bench(measurement={"records": 3}, table={"kind": "none"}))
     instruments = build_instruments(settings, VirtualClock())
     seen: list[bool] = []
-    progress = Progress(quiet=True)
+    progress = Progress()
     progress.events.read_by(lambda event: seen.append(bool(event.facts["down"])) if event.kind == "link" else None)
     facts = facts_of("measure", settings.model_dump(mode="json"), simulated=True)
     session = Acquisition(facts, tmp_path, progress)

@@ -18,7 +18,7 @@ from station.shell.finish import Evaluated, evaluate_run, start_run
 
 sys.path.insert(0, str(Path(__file__).parent))  # staircases.py
 
-QUIET = Progress(quiet=True)
+QUIET = Progress()
 Settings = Callable[..., FogSettings]
 Taken = Callable[..., tuple[Evaluated, SavedRun]]
 TakenOn = Callable[..., Evaluated]

@@ -16,7 +16,7 @@ from station.measurements import measurement
 from station.runs.store import SavedRun, open_run
 from station.shell.finish import Evaluated, evaluate_run, start_run
 
-QUIET = Progress(quiet=True)
+QUIET = Progress()
 COLUMNS = {
     "table": ("axis", "rate_dps", "end_up"),
     "selfcal": ("stands_for_dps", "number"),

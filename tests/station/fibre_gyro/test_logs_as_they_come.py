@@ -16,7 +16,7 @@ from station.runs.store import open_run
 from station.shell.finish import evaluate_run, start_run
 
 K, VERTICAL, SIZE = 246.0, 15.041067 / 3600 * np.sin(np.deg2rad(45.78)), 200
-QUIET = Progress(quiet=True)
+QUIET = Progress()
 
 
 class Logs:

@@ -22,7 +22,7 @@ from station.runs.database import TAKEN
 from station.runs.store import open_run
 from station.shell.finish import evaluate_run, resume_run, save_outcome, start_run
 
-QUIET = Progress(quiet=True)
+QUIET = Progress()
 TABLE = measurement("table")
 GOLDEN = Path(__file__).parents[2] / "golden"
 

@@ -21,7 +21,7 @@ from station.measurements import measurement
 from station.runs.store import RunWriter, open_run
 from station.shell.finish import Evaluated, evaluate_run, start_run
 
-QUIET = Progress(quiet=True)
+QUIET = Progress()
 ONE_AXIS = {"axes": ["Z"], "turns": 10}
 
 

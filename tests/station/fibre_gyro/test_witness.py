@@ -27,7 +27,7 @@ from station.runs.store import open_run
 from station.settings import saved_settings
 from station.shell.finish import evaluate_run, resume_run, save_outcome, start_run
 
-QUIET = Progress(quiet=True)
+QUIET = Progress()
 WITNESS = measurement("witness")
 DT = 0.2e-6
 

@@ -44,7 +44,7 @@ def card(folder: Path, *rates: float, channel: str = "Ch1") -> Path:
 def combined(folder: Path, processes: int = 1, **wanted: object) -> AnalyzedFiles:
     with Processes(processes) as workers:
         sources = find_sources([folder])
-        return combine(sources, {"scale_factor": K}, workers, Progress(quiet=True), **wanted)
+        return combine(sources, {"scale_factor": K}, workers, Progress(), **wanted)
 
 
 @pytest.mark.slow
@@ -171,10 +171,10 @@ def test_gyros_and_scale_factors_are_not_mixed(tmp_path: Path) -> None:
         (other_unit, "mixed units"),
     ):
         with pytest.raises(UsageError, match=problem):
-            combine([first, second], {}, ThisProcess(), Progress(quiet=True))
+            combine([first, second], {}, ThisProcess(), Progress())
     copy = tmp_path / "copy.sqlite"
     copy.write_bytes((first / "run.sqlite").read_bytes())
-    found = combine([first, first, copy], {}, ThisProcess(), Progress(quiet=True))
+    found = combine([first, first, copy], {}, ThisProcess(), Progress())
     assert len(found.found.names) == 1  # counted twice, a record would seem better known than it is
     assert [one.reason for one in found.left_out] == [
         f"holds the same records as {first}/run.sqlite: counted once"

@@ -22,7 +22,7 @@ GOLDEN = Path(__file__).parents[2] / "golden"
 
 def streamed(path: Path, processes: int = 1) -> Evaluated:
     with Processes(processes) as workers:
-        return evaluate_saved(path, workers, Progress(quiet=True), config=None, choices={})
+        return evaluate_saved(path, workers, Progress(), config=None, choices={})
 
 
 @pytest.mark.slow
@@ -146,7 +146,7 @@ def test_pairs_of_two_photodiodes_are_read_as_they_are_needed(
 def test_pairs_of_two_photodiodes_give_no_rows_of_one(tmp_path: Path) -> None:
     with Processes(1) as workers:
         table = tmp_path / "results.csv"
-        done = fill_table([GOLDEN / "quadrature.sqlite"], table, {}, workers, Progress(quiet=True))
+        done = fill_table([GOLDEN / "quadrature.sqlite"], table, {}, workers, Progress())
     assert (done.records, done.sources) == (0, 0)
     assert [one.reason.split(",")[0] for one in done.left_out] == ["its records are pairs of two photodiodes"]
     assert not table.exists()

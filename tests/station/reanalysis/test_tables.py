@@ -27,7 +27,7 @@ from station.sources.workers import Processes, ThisProcess
 from tests.golden_outputs.differences import differences
 
 GOLDEN = Path(__file__).parents[2] / "golden"
-QUIET = Progress(quiet=True)
+QUIET = Progress()
 NUMBERS = ("lock_in_rate_dps", "lock_in_rate_noise_u_dps", "beat_frequency_hz", "beat_frequency_u_hz")
 
 

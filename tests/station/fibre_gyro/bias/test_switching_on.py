@@ -87,7 +87,7 @@ def logged(folder: Path, dead: np.ndarray, listed: Sequence[tuple[float, float]]
     (folder / "list.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
     overrides = {"output": {"directory": str(folder)}}
     settings, paths = load_fog_settings(overrides=overrides), [folder / "list.csv"]
-    started = start_run(measurement("figures"), settings, Progress(quiet=True), paths=paths)
+    started = start_run(measurement("figures"), settings, Progress(), paths=paths)
     return evaluate_run(open_run(started.path)).document()
 
 

@@ -20,7 +20,7 @@ from station.report.show import render_report
 from station.runs.store import open_run
 from station.shell.finish import evaluate_run, resume_run, start_run
 
-QUIET = Progress(quiet=True)
+QUIET = Progress()
 RAMP: dict[str, Any] = {"ramp_c_per_min": 4.0, "rest_s": 60.0, "window_s": 60.0, "settle_s": 1.0}
 TRUTH: dict[str, Any] = {
     "seed": 4,

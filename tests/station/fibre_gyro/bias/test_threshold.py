@@ -21,7 +21,7 @@ from station.runs.store import open_run
 from station.shell.finish import evaluate_run, resume_run, start_run
 from tests.station.fibre_gyro.test_logs_as_they_come import Logs
 
-QUIET = Progress(quiet=True)
+QUIET = Progress()
 FEW: dict[str, Any] = {"per_decade": 1, "highest_dps": 0.1, "resolution_at_dps": 0.05}
 DEAD: dict[str, Any] = {"dead_zone_dps": 0.004, "seed": 3}
 

@@ -135,7 +135,7 @@ class Pacing(Progress):
     """Lets the time between two records pass, and the incidents come."""
 
     def __init__(self, clock: Agenda, pause: float, incident: Callable[[], None]) -> None:
-        super().__init__(quiet=True)
+        super().__init__()
         self._clock, self._pause, self._incident = clock, pause, incident
         self.saved = 0
 

@@ -51,7 +51,7 @@ class Interrupting(Progress):
     """An operator who presses Ctrl-C after so many records at the slow rates."""
 
     def __init__(self, after: int) -> None:
-        super().__init__(quiet=True)
+        super().__init__()
         self._left, self._counting = after, False
 
     def start(self, what: str, total: int) -> None:

@@ -116,7 +116,7 @@ class Interrupting(Progress):
     """An operator who presses Ctrl-C after so many records."""
 
     def __init__(self, after: int) -> None:
-        super().__init__(quiet=True)
+        super().__init__()
         self._left = after
 
     def advance(self) -> None:

@@ -215,7 +215,7 @@ class InterruptedProgress(Progress):
     """Ctrl-C after so many records."""
 
     def __init__(self, after: int) -> None:
-        super().__init__(quiet=True)
+        super().__init__()
         self._after = after
 
     def advance(self) -> None:

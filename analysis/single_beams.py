@@ -355,7 +355,7 @@ def _solutions(data: LaserData) -> list[LaserFit]:
     """The minima that some data allow, the best first, begun where some steps from each start lead."""
     starts = usual = _starts(data, SATURATION_USUAL)
     found, none = list[LaserFit](), NoFit()
-    # with noise that becomes less what is known leads past narrow valleys; else a start, or another saturation
+    # with noise that becomes less what is known leads past narrow valleys; else other saturations, or more noise
     for noise in (_SOFTER, _SOFTER[-1:], (1e4, *_SOFTER)):
         looked = list[Look]()
         for start in starts:

@@ -256,9 +256,9 @@ class Stack:
         if not np.all(np.isfinite(centred.centre)):
             missing = np.isnan(raw)
             if self.nan_policy == "raise" and missing.any():
-                where = np.argwhere(missing)[0]
+                row, first = np.argwhere(missing)[0]
                 raise ValueError(
-                    f"volts holds nan ({missing.sum()} samples, the first is sample {where[1]} of its record): "
+                    f"volts holds nan ({missing[row].sum()} samples of a record, the first is sample {first}): "
                     'nan_policy="omit" leaves such samples out'
                 )
             centred = _Centred.of(raw, missing, kind)

@@ -108,7 +108,7 @@ ENOUGH = 1e-3  # gain of a last step, in variances of a sample's noise: a thirti
 
 RIDGE = 1e-12
 
-CHANGES = 3  # polynomials, from the first on, by which s and c may change along the record
+SLOW_CHANGES = 3  # polynomials, from the first on, by which s and c may change along the record
 
 
 def unit_diagonal(normal: Floats) -> tuple[Floats, Floats]:
@@ -257,7 +257,7 @@ class SampledRecord:
         at, model = fitted.trajectory, self._model(fitted.trajectory)
         equations = _Equations.of(self, at, model, fitted.looseness, changing=True)
         scaled, scale = unit_diagonal(equations.normal)
-        places = at.terms.rate + 2 + np.arange(2 * CHANGES)
+        places = at.terms.rate + 2 + np.arange(2 * SLOW_CHANGES)
         inverse = (np.linalg.inv(scaled) * scale * scale[:, np.newaxis])[places]
         return inverse @ equations.gradient, inverse[:, places] * fitted.variance
 
@@ -318,7 +318,7 @@ class _Equations:
         if failed:
             raise np.linalg.LinAlgError("the phases are not determined")
         basis = polynomials(record.values.size).means[: at.terms.rate]
-        n_rate, n_more = at.terms.rate, 2 * CHANGES if changing else 0
+        n_rate, n_more = at.terms.rate, 2 * SLOW_CHANGES if changing else 0
         n_moved, n_all = n_rate + 2 + n_more, at.terms.count + n_more
         sides, solved, by_step = record.room(n_all)
         by_step = by_step[:n_moved, :-1]

@@ -19,8 +19,8 @@ from analysis.waveform.residuals import line_stands_out
 from analysis.waveform.series import Series, data_sums, phasors, step_by_samples, tangents_along
 from analysis.waveform.smooth_phase import AT_ENDS, OTHERS, Paths, fit_smooth_phase, knots_of
 from analysis.waveform.trajectory import (
-    CHANGES,
     HIGHEST,
+    SLOW_CHANGES,
     Fitted,
     SampledRecord,
     Terms,
@@ -136,11 +136,11 @@ def _fitted(record: SampledRecord, seen: FirstPhase) -> tuple[Fitted, Terms, boo
         moved = replace(loose.trajectory, terms=replace(loose.trajectory.terms, step=step))
         loose = record.fit(moved, LOOSE / scale, ITERATIONS)
         free = record.fit(moved, FREE / scale, ITERATIONS)
-    best = tight = min(free, loose, key=lambda fitted: fitted.evidence)
-    if loose.evidence < free.evidence + NOISY_RATE:
+    best = min(free, loose, key=lambda fitted: fitted.evidence)
+    if not (noisy := loose.evidence >= free.evidence + NOISY_RATE):
         tight = record.fit(loose.trajectory, TIGHT / scale, LAST_ITERATIONS)
-    noisy = tight is best or tight.evidence > loose.evidence + NOISY_RATE
-    best = best if noisy else tight
+        noisy = tight.evidence > loose.evidence + NOISY_RATE
+        best = best if noisy else tight
     needed = terms_needed(best, record.count)
     kept = replace(needed, rate=min(int(ROOM * needed.rate) + ROOM_AT_LEAST, best.trajectory.terms.rate))
     if noisy:
@@ -251,7 +251,7 @@ def _path_of(record: SampledRecord, fitted: Fitted, louder: Floats, *, moves: bo
     places = np.array([0, terms.rate, terms.rate + 1])
     changes, of_changes = record.changes_of_pull(fitted)
     chi_square = float(changes @ np.linalg.solve(of_changes, changes))
-    of_mean = np.repeat(2 * np.arange(1, CHANGES + 1) + 1.0, 2)
+    of_mean = np.repeat(2 * np.arange(1, SLOW_CHANGES + 1) + 1.0, 2)
     even = np.ptp(rates) == 0
     single = (
         rate,

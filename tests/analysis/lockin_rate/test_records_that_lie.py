@@ -295,3 +295,12 @@ def test_weak_harmonics_count_together_and_noise_alone_does_not():
     assert np.mean(clean.misfit_u > 0) < 0.2
     assert np.mean(wrong.misfit_u > 0) > 0.9
     assert (np.abs(wrong.lock_in_rate - X) / wrong.lock_in_rate_u).max() < 5
+
+
+@pytest.mark.parametrize("count", [1, 3])
+def test_missing_samples_are_counted_in_their_record(count):
+    """A record that is alone was told to have twice as many."""
+    volts = np.sin(np.arange(500.0)) * np.ones((count, 1))
+    volts[-1, 7:10] = np.nan
+    with pytest.raises(ValueError, match=r"\(3 samples of a record, the first is sample 7\)"):
+        estimate_lock_in(volts[-1] if count == 1 else volts, 1e-4, scale_factor=2000.0)

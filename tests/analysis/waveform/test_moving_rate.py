@@ -169,7 +169,7 @@ def test_a_rate_with_noise_of_its_own_is_paid_for_in_u():
 
 
 def test_noise_of_the_rate_that_is_stronger_at_the_beat_than_beyond_counts():
-    """A wander of 4 rad that is forgotten in a quarter of a period; taken for white, u was half of the error."""
+    """A wander of 2 rad that is forgotten in a quarter of a period; taken for white, u was half of the error."""
     rng, count, wl = np.random.default_rng(53), 24, 0.02
     volts = rate_varying_beat(
         0.3 * (1 + wander(0.1, 20.0)(rng, count)),

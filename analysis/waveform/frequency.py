@@ -258,7 +258,7 @@ class Stack:
             if self.nan_policy == "raise" and missing.any():
                 row, first = np.argwhere(missing)[0]
                 raise ValueError(
-                    f"volts holds nan ({missing[row].sum()} samples of a record, the first is sample {first}): "
+                    f"volts holds nan ({missing[row].sum()} samples, the first is sample {first} of its record): "
                     'nan_policy="omit" leaves such samples out'
                 )
             centred = _Centred.of(raw, missing, kind)

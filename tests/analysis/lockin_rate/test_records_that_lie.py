@@ -302,5 +302,5 @@ def test_missing_samples_are_counted_in_their_record(count):
     """A record that is alone was told to have twice as many."""
     volts = np.sin(np.arange(500.0)) * np.ones((count, 1))
     volts[-1, 7:10] = np.nan
-    with pytest.raises(ValueError, match=r"\(3 samples of a record, the first is sample 7\)"):
+    with pytest.raises(ValueError, match=r"\(3 samples, the first is sample 7 of its record\)"):
         estimate_lock_in(volts[-1] if count == 1 else volts, 1e-4, scale_factor=2000.0)

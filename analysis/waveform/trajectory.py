@@ -9,15 +9,23 @@ one that stays in between is that of a rate with noise of its own: in a linear p
 generalised least squares, and its covariance.
 
 Each Gauss-Newton step solves one tridiagonal system for the phases, with one right side for each parameter.
+
+A beat is mostly sampled far more often than its phase needs. The means of a few samples are then fitted in their
+place: v_n is C + A (sin(phi) + k d2(sin phi)/dn2) in the middle of them, k = (1 - 1/of^2)/24, and l is of^2 times
+as large. A step of C at a sample is a share of its mean.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
+import scipy.interpolate
+import scipy.linalg
 from numpy.polynomial import legendre
+from numpy.typing import NDArray
 from scipy.linalg import lapack
 
 from analysis.arrays import Floats
@@ -68,39 +76,23 @@ def exact_steps(phase: Floats, mean_rate: Floats, rate: Floats, sine: float, cos
     d1 = even * d0 + odd * ((c - mean_rate) * n0 + s * d0)
     # The matrix has determinant 1, so the square of the length says how neighbouring phases spread.
     by_phase = 1 / (n1 * n1 + d1 * d1)
-    start = _Edge.of(2 * n0 * d0, (d0 - n0) * (d0 + n0), rate[:-1], sine, cosine)
-    end = _Edge.of(2 * n1 * d1 * by_phase, (d1 - n1) * (d1 + n1) * by_phase, rate[1:], sine, cosine)
 
-    def integrated(at_start: Floats, at_end: Floats, slope_at_start: Floats, slope_at_end: Floats) -> Floats:
-        # Hermite's rule: exact for cubics
-        return (at_start * by_phase + at_end) / 2 + (slope_at_start * by_phase - slope_at_end) / 12
-
-    one = np.ones_like(by_phase)
-    return TrajectorySteps(
-        2 * np.arctan2(n1 * d0 - d1 * n0, d1 * d0 + n1 * n0),
-        by_phase,
-        integrated(one, one, start.pull, end.pull),
-        integrated(-start.sin, -end.sin, start.sine_slope, end.sine_slope),
-        integrated(start.cos, end.cos, start.cosine_slope, end.cosine_slope),
-    )
-
-
-@dataclass(frozen=True)
-class _Edge:
-    """At one end of the steps."""
-
-    sin: Floats
-    cos: Floats
-    pull: Floats  # rate at which a disturbance dies
-    sine_slope: Floats  # of what a change of s, or of c, adds to the phase, as seen at the end of the step
-    cosine_slope: Floats
-
-    @staticmethod
-    def of(sin: Floats, cos: Floats, rate: Floats, sine: float, cosine: float) -> _Edge:
+    def edge(sin: Floats, cos: Floats, rate: Floats) -> tuple[Floats, Floats]:
+        # what a change of a, s and c adds to the phase, and the slope of that as seen at the end of the step
         pull = sine * cos + cosine * sin
         speed = rate - sine * sin + cosine * cos
-        return _Edge(sin, cos, pull, -cos * speed - sin * pull, -sin * speed + cos * pull)
+        slopes = np.stack([pull, -cos * speed - sin * pull, -sin * speed + cos * pull])
+        return np.stack([np.ones_like(sin), -sin, cos]), slopes
 
+    at_start, slope_at_start = edge(2 * n0 * d0, (d0 - n0) * (d0 + n0), rate[:-1])
+    at_end, slope_at_end = edge(2 * n1 * d1 * by_phase, (d1 - n1) * (d1 + n1) * by_phase, rate[1:])
+    # Hermite's rule: exact for cubics
+    added = (at_start * by_phase + at_end) / 2 + (slope_at_start * by_phase - slope_at_end) / 12
+    return TrajectorySteps(2 * np.arctan2(n1 * d0 - d1 * n0, d1 * d0 + n1 * n0), by_phase, *added)
+
+
+DERIVATIVES = np.array([[-1, 7, 7, -1], [-1, 15, -15, 1]]) / 12
+"""First and second derivative in the middle of four even steps, the last one first, by what each advances."""
 
 LARGEST_TURN = 1.0  # rad by which a phase may change in one step of the fit
 SHORTER, SHORTENED = 4.0, 6  # a step that makes the fit worse is tried again so many times shorter, and so often
@@ -126,7 +118,7 @@ class Terms:
     rate: int
     amplitude: int
     offset: int
-    step: int | None = None  # first sample behind a step of the offset, which is then one term more
+    step: int | None = None  # first of the samples behind a step of the offset, which is then one term more
 
     @property
     def count(self) -> int:
@@ -138,6 +130,7 @@ class Terms:
 class Trajectory:
     """phase : (N,) rad
     parameters : (P,) rate, s, c, amplitude, offset, step of the offset; `terms` says how many of each.
+    N are samples or means of them, and rates are in rad from one to the next.
     """
 
     phase: Floats
@@ -145,24 +138,24 @@ class Trajectory:
     terms: Terms
 
     @property
-    def rate(self) -> Floats:
-        """Legendre coefficients of a(t), rad per sample."""
-        return self.parameters[: self.terms.rate]
+    def parts(self) -> list[Floats]:
+        """Coefficients of a(t), rad per mean; s and c; coefficients of A(t), and of C(t) with its step last."""
+        return np.split(self.parameters, np.cumsum([self.terms.rate, 2, self.terms.amplitude]))
 
-    @property
-    def pull(self) -> Floats:
-        """s and c, rad per sample."""
-        return self.parameters[self.terms.rate : self.terms.rate + 2]
 
-    @property
-    def amplitude(self) -> Floats:
-        """Legendre coefficients of A(t)."""
-        return self.parameters[self.terms.rate + 2 : self.terms.rate + 2 + self.terms.amplitude]
+@dataclass(frozen=True)
+class TrajectoryModel:
+    """What a trajectory makes of a record: residuals of samples and steps, and their derivatives."""
 
-    @property
-    def offset(self) -> Floats:
-        """Legendre coefficients of C(t), and its step last, if it has one."""
-        return self.parameters[self.terms.rate + 2 + self.terms.amplitude :]
+    left: Floats  # (N,) residuals of the samples
+    moved: Floats  # (N - 1,) rad, residuals of the steps: what moves the phase beside the equation
+    steps: TrajectorySteps
+    by_phase: Floats
+    by_sample: Floats
+
+    def cost(self, looseness: float) -> float:
+        """The sum that is minimised."""
+        return float(self.left @ self.left + self.moved @ self.moved / looseness)
 
 
 @dataclass(frozen=True)
@@ -175,8 +168,7 @@ class Fitted:
     degrees: float  # samples less parameters
     normal: Floats  # (P, P) normal matrix of the parameters, phases eliminated
     evidence: float  # -2 log of the restricted likelihood, without a constant, its noise at its best
-    left: Floats  # (N,) residuals of the samples
-    moved: Floats  # (N - 1,) rad, residuals of the steps: what moves the phase beside the equation
+    model: TrajectoryModel
     converged: bool  # whether the last step gained next to nothing
 
     @property
@@ -191,26 +183,14 @@ class Fitted:
         return np.asarray(np.linalg.inv(scaled) * scale * scale[:, np.newaxis] * self.variance)
 
 
-@dataclass(frozen=True)
-class _Model:
-    """What a trajectory makes of a record: residuals of samples and steps, and their derivatives."""
-
-    left: Floats
-    moved: Floats
-    steps: TrajectorySteps
-    by_phase: Floats
-    by_sample: Floats
-
-    def cost(self, looseness: float) -> float:
-        return float(self.left @ self.left + self.moved @ self.moved / looseness)
-
-
 class SampledRecord:
-    """One record (N,), `mask` 0 where a sample is missing."""
+    """One record, `mask` 0 where a sample is missing, as the (N,) means of `of` samples each that are fitted."""
 
-    def __init__(self, values: Floats, mask: Floats) -> None:
-        self.values, self.mask, self.count = values, mask, float(mask.sum())
-        self._room = np.empty((3, 0, values.size))
+    def __init__(self, samples: Floats, mask: Floats, of: int = 1) -> None:
+        self.samples, self.count, self.of = samples, float(mask.sum()), of
+        self.values, self.mask = samples.reshape(-1, of).mean(axis=1), mask.reshape(-1, of).min(axis=1)
+        self._bend = (1 - of**-2.0) / 24  # a mean is off by so much of the second derivative
+        self._room = np.empty((3, 0, self.values.size))
 
     def room(self, rows: int) -> Floats:
         """Three arrays (rows, N) for the equations of one step: new ones would cost more than what fills them."""
@@ -218,15 +198,18 @@ class SampledRecord:
             self._room = np.empty((3, rows, self.values.size))
         return self._room[:, :rows]
 
-    def fit(self, start: Trajectory, looseness: float, iterations: int) -> Fitted:
+    def fit(self, start: Trajectory | Fitted, looseness: float, iterations: int, enough: float = ENOUGH) -> Fitted:
         """Gauss-Newton from a start; `looseness` is l above, in 1 over squared units of the samples."""
-        now, model = start, self._model(start)
-        cost, converged = model.cost(looseness), False
+        now = start.trajectory if isinstance(start, Fitted) else start
+        model = start.model if isinstance(start, Fitted) else self._model(now)
+        cost, converged, n_means = model.cost(looseness), False, float(self.mask.sum())
         for _ in range(iterations):
             equations = _Equations.of(self, now, model, looseness)
             by_phase, by_parameters, gain = equations.solve()
             share = min(1.0, LARGEST_TURN / max(float(np.abs(by_phase).max()), 1e-300))
-            for _ in range(SHORTENED):
+            # At the minimum the cost repeats to rounding.
+            little = gain < enough * cost / n_means
+            for _ in range(1 if little else SHORTENED):
                 trial = replace(
                     now, phase=now.phase + share * by_phase, parameters=now.parameters + share * by_parameters
                 )
@@ -235,59 +218,62 @@ class SampledRecord:
                 if trial_cost <= cost:
                     break
                 share /= SHORTER
-            enough = ENOUGH * cost / self.count
-            # At the minimum the cost repeats to rounding.
-            converged = share == 1.0 and gain < enough
+            converged = share == 1.0 and little
             if not trial_cost <= cost:
-                converged = gain < enough
+                converged = little
                 break
             now, model, cost = trial, trial_model, trial_cost
             if converged:
                 break
         # one more phase than parameters is free: that of the start
-        degrees = max(self.count - now.terms.count - 1, 1.0)
+        degrees = max(n_means - now.terms.count - 1, 1.0)
         evidence = equations.evidence + degrees * np.log(max(cost, 1e-300))
-        return Fitted(
-            now, looseness, cost, degrees, equations.normal, evidence, model.left, model.moved, converged
-        )
+        return Fitted(now, looseness, cost, degrees, equations.normal, evidence, model, converged)
 
     def changes_of_pull(self, fitted: Fitted) -> tuple[Floats, Floats]:
         """What s and c would be times the polynomials from the first to the third, (6,), and its covariance."""
         # One step from the minimum of a fit without such changes.
-        at, model = fitted.trajectory, self._model(fitted.trajectory)
-        equations = _Equations.of(self, at, model, fitted.looseness, changing=True)
+        at = fitted.trajectory
+        equations = _Equations.of(self, at, fitted.model, fitted.looseness, changing=True)
         scaled, scale = unit_diagonal(equations.normal)
         places = at.terms.rate + 2 + np.arange(2 * SLOW_CHANGES)
         inverse = (np.linalg.inv(scaled) * scale * scale[:, np.newaxis])[places]
         return inverse @ equations.gradient, inverse[:, places] * fitted.variance
 
-    def columns(self, terms: Terms) -> tuple[Floats, Floats]:
-        """What A and C are made of, (terms, N) each."""
-        low = polynomials(self.values.size).values
+    def columns(self, terms: Terms, of: int | None = None) -> tuple[Floats, Floats]:
+        """What A and C are made of, (terms, N) each, or at each of the samples if `of` is 1."""
+        low = polynomials(self.samples.size // (of or self.of)).values
         of_offset = low[: terms.offset]
         if terms.step is not None:
-            behind = (np.arange(self.values.size) >= terms.step).astype(np.float64)
+            behind = (np.arange(self.samples.size) >= terms.step).reshape(-1, of or self.of).mean(axis=1)
             of_offset = np.concatenate([of_offset, behind[np.newaxis]])
         return low[: terms.amplitude], of_offset
 
     def waveform(self, trajectory: Trajectory) -> Floats:
-        """The samples that a trajectory makes, (N,)."""
-        of_amplitude, of_offset = self.columns(trajectory.terms)
-        amplitude = trajectory.amplitude @ of_amplitude
-        return np.asarray(trajectory.offset @ of_offset + amplitude * np.sin(trajectory.phase))
+        """What a trajectory makes of each of the samples."""
+        of_amplitude, of_offset = self.columns(trajectory.terms, of=1)
+        places = (np.arange(self.values.size) + 0.5) * self.of - 0.5
+        phase = scipy.interpolate.CubicSpline(places, trajectory.phase)(np.arange(self.samples.size))
+        _, _, amplitude, offset = trajectory.parts
+        return np.asarray(offset @ of_offset + (amplitude @ of_amplitude) * np.sin(phase))
 
-    def _model(self, trajectory: Trajectory) -> _Model:
+    def _model(self, trajectory: Trajectory) -> TrajectoryModel:
         of_amplitude, of_offset = self.columns(trajectory.terms)
-        amplitude, sine = trajectory.amplitude @ of_amplitude, np.sin(trajectory.phase)
-        left = (self.values - trajectory.offset @ of_offset - amplitude * sine) * self.mask
-        low, rate = polynomials(self.values.size), trajectory.rate
-        at_samples, between = low.values[: rate.size], low.means[: rate.size]
-        steps = exact_steps(trajectory.phase, rate @ between, rate @ at_samples, *trajectory.pull)
-        return _Model(
+        rate, (s, c), amplitude, offset = trajectory.parts
+        height, low = amplitude @ of_amplitude, polynomials(self.values.size)
+        sine, cosine = np.sin(trajectory.phase), np.cos(trajectory.phase)
+        steps = exact_steps(trajectory.phase, rate @ low.means[: rate.size], rate @ low.values[: rate.size], s, c)
+        by_phase = height * cosine * self.mask
+        if self._bend:
+            advance = np.pad(steps.advance, 2, mode="edge")
+            slope, curve = (np.convolve(advance, weights, mode="valid") for weights in DERIVATIVES)
+            sine += self._bend * (cosine * curve - sine * slope**2)
+        left = (self.values - offset @ of_offset - height * sine) * self.mask
+        return TrajectoryModel(
             left,
             np.diff(trajectory.phase) - steps.advance,
             steps,
-            amplitude * np.cos(trajectory.phase) * self.mask,
+            by_phase,
             np.concatenate([of_amplitude * sine, of_offset]) * self.mask,
         )
 
@@ -297,6 +283,8 @@ class _Equations:
     """Normal equations with the phases eliminated: tridiagonal for the phases, dense for the parameters."""
 
     normal: Floats
+    factors: tuple[Floats, NDArray[Any]]  # of the normal matrix with a diagonal of one
+    scale: Floats  # that gives it
     gradient: Floats
     solved: Floats  # phases that one of each parameter brings, (parameters, N), and those of the gradient
     solved_gradient: Floats
@@ -306,7 +294,7 @@ class _Equations:
 
     @staticmethod
     def of(
-        record: SampledRecord, at: Trajectory, model: _Model, looseness: float, *, changing: bool = False
+        record: SampledRecord, at: Trajectory, model: TrajectoryModel, looseness: float, *, changing: bool = False
     ) -> _Equations:
         """`changing`: behind s and c what they are times each of the next polynomials."""
         steps, tight = model.steps, 1 / looseness
@@ -344,21 +332,24 @@ class _Equations:
         lapack.dpttrs(factor, ratios, solved.T, overwrite_b=True)
         normal -= sides @ solved.T
         evidence = float(np.log(factor).sum() + (record.values.size - 1) * np.log(looseness))
-        sign, size = np.linalg.slogdet(normal)
+        scaled, scale = unit_diagonal(normal)
+        factors = scipy.linalg.lu_factor(scaled, overwrite_a=True, check_finite=False)
         return _Equations(
             normal,
+            factors,
+            scale,
             full_gradient - solved @ phase_gradient,
             solved,
             lapack.dpttrs(factor, ratios, phase_gradient)[0],
             phase_gradient,
             full_gradient,
-            evidence + (float(size) if sign > 0 else 0.0),
+            evidence + float(np.sum(np.log(np.abs(np.diagonal(factors[0])))) - 2 * np.sum(np.log(scale))),
         )
 
     def solve(self) -> tuple[Floats, Floats, float]:
         """Change of the phases and of the parameters, and what they gain if all is linear."""
-        scaled, scale = unit_diagonal(self.normal)
-        by_parameters = scale * np.linalg.solve(scaled, scale * self.gradient)
+        solution = scipy.linalg.lu_solve(self.factors, self.scale * self.gradient, check_finite=False)
+        by_parameters = self.scale * solution
         by_phase = self.solved_gradient - by_parameters @ self.solved
         gain = float(self.phase_gradient @ by_phase + self.full_gradient @ by_parameters)
         return by_phase, by_parameters, gain

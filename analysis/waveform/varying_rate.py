@@ -50,6 +50,13 @@ ITERATIONS, LAST_ITERATIONS = 4, 8
 
 NOISY_RATE = 12.0  # -2 log likelihood by which noise of the rate must explain a record better than an exact motion
 
+ROUGHLY = 1.0
+"""Gain of a last step, in variances of a sample's noise, where a fit is not the last one."""
+
+IN_A_TURN, FEWEST_MEANS, BESIDE_GAPS = 10, 250, 0.9
+"""Means of samples that a turn of the beat needs where it is fast, and a record; the share of the samples that
+must be left where a mean that lacks one is none."""
+
 ALIKE = 0.1  # the same, by which two such fits are not worth telling apart
 
 COARSEST, FINEST = 1.2, 0.5
@@ -100,18 +107,18 @@ class MovingFits(Stacked):
 
 def fit_moving_rate(values: Floats, mask: Floats) -> MovingFits | None:
     """Fit one record by the exact equation, whatever its rate does."""
-    seen = first_phase(values, mask)
-    if seen is None:
+    if (seen := first_phase(values, mask)) is None:
         return None
-    record = SampledRecord(values, mask)
     try:
         with np.errstate(all="ignore"):  # a step too far gives nan, and is taken back
-            fitted, needed, noisy = _fitted(record, seen)
+            record = SampledRecord(values, mask, _joined(seen, mask))
+            fitted, needed, noisy = _fitted(record, mask, seen)
             louder = _louder_at_beat(fitted) if noisy else np.zeros(2)
-            fits = as_beats(_path_of(record, fitted, louder, moves=noisy or needed.rate > 1))
+            fits = as_beats(_path_of(record, mask, fitted, louder, moves=noisy or needed.rate > 1))
             if noisy:
-                of_steps = np.abs(np.fft.rfft(fitted.moved)[1:]) ** 2
-                silent = fitted.variance < (SILENT * float(np.mean(seen.amplitude))) ** 2
+                slower = int(needed.rate / np.pi)  # of the slowest lines the polynomials have left little
+                of_steps = np.abs(np.fft.rfft(fitted.model.moved)[1 + slower :]) ** 2
+                silent = fitted.variance * record.of < (SILENT * float(np.mean(seen.amplitude))) ** 2
                 walk = float(np.sqrt(fitted.looseness * fitted.variance * record.values.size))
                 vibrates = silent or line_stands_out(of_steps)
                 fits = replace(fits, walk=np.array([walk]), vibrates=np.array([vibrates]))
@@ -120,25 +127,34 @@ def fit_moving_rate(values: Floats, mask: Floats) -> MovingFits | None:
         return None
 
 
-def _fitted(record: SampledRecord, seen: FirstPhase) -> tuple[Fitted, Terms, bool]:
+def _joined(seen: FirstPhase, mask: Floats) -> int:
+    """How many samples may stand for each other, so that enough are left of a turn, and of those beside gaps."""
+    quarter = max(int(mask.size * np.pi / 2 / np.ptp(seen.phase)), 1)
+    fastest = float(np.quantile(seen.phase[quarter:] - seen.phase[:-quarter], 1 - AT_ENDS)) / quarter
+    most = int(min(2 * np.pi / IN_A_TURN / max(fastest, 1e-9), mask.size / FEWEST_MEANS))
+    kept = {of: of * mask.reshape(-1, of).min(axis=1).sum() for of in range(2, most + 1) if mask.size % of == 0}
+    return max((of for of, count in kept.items() if count > BESIDE_GAPS * mask.sum()), default=1)
+
+
+def _fitted(record: SampledRecord, mask: Floats, seen: FirstPhase) -> tuple[Fitted, Terms, bool]:
     """The fit, the terms that the data ask for, and whether the rate is noisy."""
-    scale = float(np.mean(seen.amplitude)) ** 2
-    free, loose = _roughly(SampledRecord(record.values, record.mask * seen.trusted), seen, scale)
+    scale = (float(np.mean(seen.amplitude)) / record.of) ** 2
+    free, loose = _roughly(SampledRecord(record.samples, mask * seen.trusted, record.of), seen, scale)
     if seen.step is not None:  # it goes to the sample where the record says it is
         inside = np.flatnonzero(~seen.trusted)
         height = float(loose.trajectory.parameters[-1])
         before = replace(loose.trajectory, parameters=np.concatenate([loose.trajectory.parameters[:-1], [0.0]]))
-        left = ((record.values - record.waveform(before)) * record.mask)[inside]
+        left, valid = (record.samples - record.waveform(before))[inside], mask[inside]
         # sums of squares if the step comes before the i-th sample of these
-        below = np.concatenate([[0.0], np.cumsum(left**2)])
-        above = np.concatenate([np.cumsum(((left - height) ** 2)[::-1])[::-1], [0.0]])
+        below = np.concatenate([[0.0], np.cumsum(valid * left**2)])
+        above = np.concatenate([np.cumsum((valid * (left - height) ** 2)[::-1])[::-1], [0.0]])
         step = int(inside[0] + np.argmin(below + above))
         moved = replace(loose.trajectory, terms=replace(loose.trajectory.terms, step=step))
-        loose = record.fit(moved, LOOSE / scale, ITERATIONS)
-        free = record.fit(moved, FREE / scale, ITERATIONS)
+        loose = record.fit(moved, LOOSE / scale, ITERATIONS, ROUGHLY)
+        free = record.fit(moved, FREE / scale, ITERATIONS, ROUGHLY)
     best = min(free, loose, key=lambda fitted: fitted.evidence)
     if not (noisy := loose.evidence >= free.evidence + NOISY_RATE):
-        tight = record.fit(loose.trajectory, TIGHT / scale, LAST_ITERATIONS)
+        tight = record.fit(loose, TIGHT / scale, LAST_ITERATIONS, ROUGHLY)
         noisy = tight.evidence > loose.evidence + NOISY_RATE
         best = best if noisy else tight
     needed = terms_needed(best, record.count)
@@ -148,35 +164,32 @@ def _fitted(record: SampledRecord, seen: FirstPhase) -> tuple[Fitted, Terms, boo
         fitted, width = record.fit(with_terms(best, kept), best.looseness, 1), float(np.log(FREE / LOOSE)) / 2
         roughly = _likeliest(record, fitted, width, COARSEST)
         needed = terms_needed(roughly, record.count)
-        again = record.fit(with_terms(roughly, needed), roughly.looseness, ITERATIONS)
+        again = record.fit(with_terms(roughly, needed), roughly.looseness, ITERATIONS, ROUGHLY)
         likeliest = _likeliest(record, again, COARSEST, FINEST)
-        return record.fit(likeliest.trajectory, likeliest.looseness, ITERATIONS), needed, True
+        return record.fit(likeliest, likeliest.looseness, ITERATIONS), needed, True
     return record.fit(with_terms(best, kept), EXACT / scale, LAST_ITERATIONS), needed, False
 
 
 def _roughly(record: SampledRecord, seen: FirstPhase, scale: float) -> list[Fitted]:
     """The phases followed wherever they go, then the motion that they show, and once more from there."""
-    phase, slow = seen.phase, Terms(0, SLOW_TERMS, SLOW_TERMS, seen.step)
+    slow = Terms(0, SLOW_TERMS, SLOW_TERMS, seen.step)
     of_amplitude, of_offset = record.columns(slow)
-    amplitude = np.linalg.lstsq(of_amplitude.T, seen.amplitude, rcond=None)[0]
-    offset = np.linalg.lstsq(of_offset.T, seen.offset, rcond=None)[0]
+    seen_by_sample = np.stack([seen.phase, seen.amplitude, seen.offset])
+    phase, height, middle = seen_by_sample.reshape(3, -1, record.of).mean(axis=2)
+    amplitude = np.linalg.lstsq(of_amplitude.T, height, rcond=None)[0]
+    offset = np.linalg.lstsq(of_offset.T, middle, rcond=None)[0]
     fits = list[Fitted]()
     for looseness in (FREE, LOOSE):
         periods = (phase[-1] - phase[0]) / (2 * np.pi)
-        most = int(
-            min(
-                HIGHEST,
-                RATE_TERMS + RATE_TERMS_PER_PERIOD * periods,
-                max(ENOUGH_TERMS, TERMS_FOR_A_THIRD * periods),
-            )
-        )
+        tried = max(ENOUGH_TERMS, TERMS_FOR_A_THIRD * periods)
+        most = int(min(HIGHEST, RATE_TERMS + RATE_TERMS_PER_PERIOD * periods, tried))
         motion, pull = matched_motion(phase, (amplitude @ of_amplitude) * np.cos(phase) * record.mask, most)
         rate = np.zeros(min(int(ROOM * motion.size) + ROOM_AT_LEAST, most))
         rate[: motion.size] = motion
         parameters = np.concatenate([rate, pull, amplitude, offset])
         start = Trajectory(phase, parameters, replace(slow, rate=rate.size))
-        fitted = record.fit(start, looseness / scale, ITERATIONS)
-        phase, amplitude, offset = fitted.trajectory.phase, fitted.trajectory.amplitude, fitted.trajectory.offset
+        fitted = record.fit(start, looseness / scale, ITERATIONS, ROUGHLY)
+        phase, (_, _, amplitude, offset) = fitted.trajectory.phase, fitted.trajectory.parts
         fits.append(fitted)
     return fits
 
@@ -187,8 +200,7 @@ def _likeliest(record: SampledRecord, fitted: Fitted, width: float, finest: floa
 
     def at(place: float) -> float:
         if place not in tried:
-            near = tried[middle].trajectory
-            tried[place] = record.fit(near, fitted.looseness * np.exp(place), 1)
+            tried[place] = record.fit(tried[middle], fitted.looseness * np.exp(place), 1)
         return tried[place].evidence
 
     while width > finest:
@@ -225,11 +237,11 @@ def _louder_at_beat(fitted: Fitted) -> Floats:
     """Variance of s and c by noise of the rate that is stronger about the beat than it is in the mean, (2,)."""
     # Whatever the rate does at the beat itself looks like s and c. Steps of a variance v, seen through noise of n,
     # have lines of v^2/(v + n); polynomials take what is slower than half of their number.
-    at, count = fitted.trajectory, fitted.moved.size
+    at, count = fitted.trajectory, fitted.model.moved.size
     step, periods = fitted.looseness * fitted.variance, float(at.phase[-1] - at.phase[0]) / (2 * np.pi)
     number = np.arange(count // 2 + 1)
-    through = 2 * fitted.variance * (2 * np.pi * number / count / at.amplitude[0]) ** 2
-    lines = np.abs(np.fft.rfft(fitted.moved)) ** 2 / count * (step + through) / step**2
+    through = 2 * fitted.variance * (2 * np.pi * number / count / at.parts[2][0]) ** 2
+    lines = np.abs(np.fft.rfft(fitted.model.moved)) ** 2 / count * (step + through) / step**2
     near = (number > max(ABOUT[0] * periods, at.terms.rate / 2)) & (number < ABOUT[1] * periods)
     near &= np.abs(number - periods) > ITSELF
     surplus = float(np.mean(lines[near])) - 1 if near.any() else 0.0
@@ -237,16 +249,16 @@ def _louder_at_beat(fitted: Fitted) -> Floats:
     return np.asarray(size / np.var([np.sin(at.phase), np.cos(at.phase)], axis=1))
 
 
-def _path_of(record: SampledRecord, fitted: Fitted, louder: Floats, *, moves: bool) -> Paths:
+def _path_of(record: SampledRecord, mask: Floats, fitted: Fitted, louder: Floats, *, moves: bool) -> Paths:
     """What a trajectory says of its record."""
-    trajectory, terms, n_samples = fitted.trajectory, fitted.trajectory.terms, record.values.size
+    trajectory, terms, n_means = fitted.trajectory, fitted.trajectory.terms, record.values.size
     to_amplitude, to_offset = record.columns(terms)
-    height, offset = trajectory.amplitude @ to_amplitude, trajectory.offset @ to_offset
-    rates = trajectory.rate @ polynomials(n_samples).values[: terms.rate]
-    rate, pull = float(trajectory.rate[0]), trajectory.pull
-    size = float(np.hypot(*pull))
+    by_rate, pull, by_amplitude, by_offset = trajectory.parts
+    height, offset = by_amplitude @ to_amplitude, by_offset @ to_offset
+    rates = by_rate @ polynomials(n_means).values[: terms.rate]
+    rate, size = float(by_rate[0]), float(np.hypot(*pull))
     ratio = size / (rate + np.sqrt(max(rate**2 - size**2, 0.0)))
-    middle = np.interp((n_samples - 1) / 2, np.arange(n_samples), trajectory.phase)
+    middle = np.interp((n_means - 1) / 2, np.arange(n_means), trajectory.phase)
     z = np.exp(1j * middle) * size / complex(*pull)
     places = np.array([0, terms.rate, terms.rate + 1])
     changes, of_changes = record.changes_of_pull(fitted)
@@ -254,20 +266,20 @@ def _path_of(record: SampledRecord, fitted: Fitted, louder: Floats, *, moves: bo
     of_mean = np.repeat(2 * np.arange(1, SLOW_CHANGES + 1) + 1.0, 2)
     even = np.ptp(rates) == 0
     single = (
-        rate,
-        pull,
-        fitted.covariance[np.ix_(places, places)] + np.diag([0.0, *louder]),
+        rate / record.of,
+        pull / record.of,
+        (fitted.covariance[np.ix_(places, places)] + np.diag([0.0, *louder])) / record.of**2,
         (z - 1j * ratio) / (ratio * z - 1j),  # exp(i psi) = i (r - u)/(1 - r u), psi the phase less gamma
         float(np.mean(height)),
         float(np.mean(offset)),
-        fitted.variance,
-        fitted.degrees,
-        fitted.left,
+        fitted.variance * record.of,
+        record.count - terms.count - 1,
+        (record.samples - record.waveform(trajectory)) * mask,
         np.inf if moves else 0.0,
         0.0,
-        np.inf if even else float(np.quantile(rates, AT_ENDS)),
+        np.inf if even else float(np.quantile(rates, AT_ENDS)) / record.of,
         height.min() / height.max(),
-        float(np.sqrt(np.sum(changes**2 / of_mean))),
+        float(np.sqrt(np.sum(changes**2 / of_mean))) / record.of,
         float(scipy.special.chdtrc(changes.size, chi_square)),
         0.0,
         False,
@@ -334,35 +346,32 @@ def as_beats(paths: Paths) -> MovingFits:
 # How many terms the motion needs: the data decide.
 #
 # At the minimum of a fit with more than enough terms its normal equations tell what any fit with fewer would
-# leave: with N = L L' and the terms to be dropped last, dropping the last k of them costs the sum of the last k
-# squares of L' theta. The Bayesian information criterion is then known for every number of terms without another
-# fit
+# leave: terms t of covariance C cost t' C^-1 t, and with N = L L' and the terms to be dropped last, the last k of
+# them cost the sum of the last k squares of L' t. So the Bayesian information criterion is known without another
+# fit: first for amplitude and offset beside the whole motion, then for the motion
 
 
 def terms_needed(fitted: Fitted, count: float) -> Terms:
-    """Least Bayesian criterion among all numbers of terms up to those of a fit."""
-    terms, parameters = fitted.trajectory.terms, fitted.trajectory.parameters
-    price = np.log(count)
-    best, least = terms, np.inf
+    """Least Bayesian criterion among the numbers of terms up to those of a fit."""
+    terms, parameters, variance = fitted.trajectory.terms, fitted.trajectory.parameters, fitted.variance
+    price, covariance = np.log(count), fitted.covariance
     steps = (terms.step,) if terms.step is None else (terms.step, None)
+    fewest, least = terms, np.inf
     for amplitude, offset, step in product(range(1, terms.amplitude + 1), range(1, terms.offset + 1), steps):
         fewer = Terms(terms.rate, amplitude, offset, step)
-        kept = _places(terms, fewer)
-        dropped = np.setdiff1d(np.arange(terms.count), kept)
-        order = np.concatenate([kept[terms.rate :], kept[: terms.rate], dropped])
-        # what the fit would leave more if all parameters from number i on were zero
-        scaled, scale = unit_diagonal(fitted.normal[np.ix_(order, order)])
-        squares = (np.linalg.cholesky(scaled).T @ (parameters[order] / scale)) ** 2
-        costs = np.concatenate([np.cumsum(squares[::-1])[::-1], [0.0]])
-        first = terms.count - dropped.size - terms.rate
-        # after the n-th coefficient of the rate everything is dropped
-        cost = costs[first + 1 : first + terms.rate + 1]
-        others = fewer.count - terms.rate
-        criterion = cost / fitted.variance + price * (others + np.arange(1, terms.rate + 1))
-        number = int(criterion.argmin())
-        if criterion[number] < least:
-            best, least = replace(fewer, rate=number + 1), float(criterion[number])
-    return best
+        out = np.delete(np.arange(terms.count), _places(terms, fewer))
+        lost = parameters[out] @ np.linalg.solve(covariance[np.ix_(out, out)], parameters[out])
+        if lost - price * out.size < least:
+            fewest, least = fewer, float(lost - price * out.size)
+    kept = _places(terms, fewest)
+    order = np.concatenate([kept[terms.rate :], kept[: terms.rate], np.delete(np.arange(terms.count), kept)])
+    scaled, scale = unit_diagonal(fitted.normal[np.ix_(order, order)])
+    squares = (np.linalg.cholesky(scaled).T @ (parameters[order] / scale)) ** 2
+    # what the fit would leave more if all parameters from number i on were zero
+    costs = np.concatenate([np.cumsum(squares[::-1])[::-1], [0.0]])
+    first = kept.size - terms.rate
+    criterion = costs[first + 1 : first + terms.rate + 1] / variance + price * np.arange(1, terms.rate + 1)
+    return replace(fewest, rate=int(criterion.argmin()) + 1)
 
 
 def with_terms(fitted: Fitted, terms: Terms) -> Trajectory:

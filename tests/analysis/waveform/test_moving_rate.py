@@ -1,10 +1,12 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
 from analysis import DOUBTFUL, Flag, estimate_lock_in, flag_names, rate_varying_beat
 from analysis.waveform.residuals import by_level
-from analysis.waveform.trajectory import Fitted, SampledRecord, Terms, Trajectory, exact_steps
+from analysis.waveform.trajectory import SampledRecord, Terms, Trajectory, exact_steps
 from analysis.waveform.varying_rate import first_phase, fit_moving_rate, terms_needed, with_terms
 from benchmarks.hostile.gyro import beat, converted, draw_gyro, levels_of, noisy, step_times
 from benchmarks.moving import wander
@@ -252,7 +254,8 @@ def test_terms_that_are_dropped_leave_the_others_at_their_best():
     more, fewer = Terms(rate=6, amplitude=2, offset=2), Terms(rate=3, amplitude=1, offset=2)
     trajectory = Trajectory(np.zeros(N), rng.normal(size=more.count), more)
     root = rng.normal(size=(20, more.count))
-    fitted = Fitted(trajectory, 1.0, 1.0, 1.0, root.T @ root, 0.0, np.zeros(N), np.zeros(N - 1), True)
+    some = SampledRecord(rng.normal(size=N), np.ones(N)).fit(trajectory, 1.0, 1)
+    fitted = replace(some, trajectory=trajectory, normal=root.T @ root)
     kept = [0, 1, 2, 6, 7, 8, 10, 11]
     best = np.linalg.lstsq(root[:, kept], root @ trajectory.parameters, rcond=None)[0]
     assert with_terms(fitted, fewer).parameters == pytest.approx(best, rel=1e-6)
@@ -325,3 +328,14 @@ def test_the_data_choose_the_terms():
     assert fitted.converged
     assert fitted.variance**0.5 == pytest.approx(np.hypot(0.6, 12**-0.5), rel=0.1)
     assert terms_needed(fitted, N) == Terms(rate=1, amplitude=1, offset=2)
+
+
+@pytest.mark.parametrize(("seed", "clipped"), [(5, 25), (63, 25), (74, 60)])
+def test_a_step_of_the_baseline_is_found_beside_clipped_samples(seed: int, clipped: int) -> None:
+    """They say nothing of where it is, and must not say that it is elsewhere."""
+    rng = np.random.default_rng(seed)
+    _, codes, _ = moved_record(rng, 0.2, 30.3, 1.0, 2.0)
+    codes = codes + 40.0 * (np.arange(N) >= rng.integers(800, 1600))
+    mask = (codes < codes.max() - clipped).astype(float)
+    fit = fit_moving_rate(codes - codes.mean(), mask)
+    assert fit is not None and float(fit.variance[0]) < 1.3 * (0.6**2 + 1 / 12)

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 from analysis.waveform.trajectory import SampledRecord, Terms, Trajectory
 
@@ -25,3 +26,33 @@ def test_one_step_from_beside_the_minimum_reaches_it(terms: int, looseness: floa
     )
     lost = record.fit(beside, looseness, 1).cost / best.cost - 1
     assert abs(lost) < 1e-4
+
+
+def beat_of_a_record(rng: np.random.Generator, n_samples: int, phase_step: float) -> np.ndarray:
+    """A beat near lock-in by the integrator of SciPy, which shares nothing with the fit."""
+    time = np.arange(n_samples, dtype=float)
+    rate, s, c = phase_step, 0.5 * phase_step, 0.3 * phase_step
+    phase = solve_ivp(
+        lambda _, y: rate - s * np.sin(y) + c * np.cos(y),
+        (0, n_samples),
+        [rng.uniform(0, 6)],
+        t_eval=time,
+        rtol=1e-9,
+        atol=1e-9,
+    ).y[0]
+    return np.stack([phase, 0.4 * np.sin(phase)])
+
+
+@pytest.mark.parametrize("of", [2, 5])
+def test_means_of_samples_tell_the_pull_that_the_samples_tell(of: int) -> None:
+    """Where a turn has ten means; a mean is not what its middle is."""
+    rng, step = np.random.default_rng(of), 2 * np.pi / 10 / of
+    phase, clean = beat_of_a_record(rng, 2500, step)
+    values, terms = clean + rng.normal(0.0, 1e-3, clean.size), Terms(1, 1, 1)
+    parameters = np.array([step * of, 0.45 * step * of, 0.35 * step * of, 0.4, 0.0])
+    record = SampledRecord(values, np.ones(values.size), of)
+    start = Trajectory(phase.reshape(-1, of).mean(axis=1), parameters, terms)
+    fitted = record.fit(record.fit(start, 1e-2, 30), 1e-8, 60)
+    off = fitted.trajectory.parts[1] / of - step * np.array([0.5, 0.3])
+    assert np.all(np.abs(off) < 4 * np.sqrt(np.diagonal(fitted.covariance)[1:3]) / of)
+    assert np.std(values - record.waveform(fitted.trajectory)) == pytest.approx(1e-3, rel=0.1)

@@ -702,9 +702,9 @@ def rates_flags(fit: RatesFit, records: RatioRecords, *, tested: bool, explained
 
 _GAIN_TIME, _GAIN_SEEN = 3, 3.3  # standard uncertainties of a gain time that is no chance
 _STARTS = 3  # minima from which lasers are looked for
-_OF_THE_BOUND = np.concatenate([np.linspace(0.0, 1.0, 15), [1.03, 1.06, 1.1, 1.2, 1.5, 2.0, 2.5]])
+_OF_THE_BOUND = np.concatenate([np.linspace(0.0, 1.0, 15), [1.02, 1.05, 1.1]])
 _ABOUT_A_MINIMUM = np.linspace(-4.0, 4.0, 17)
-_SAME_SHARE, _SAME_U, _ENDS = 1e-3, 0.5, 12.0
+_SAME_SHARE, _SAME_U, _ENDS = 1e-3, 0.5, 50.0
 
 
 def over_gain_times(

@@ -22,7 +22,6 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-import scipy.interpolate
 import scipy.linalg
 from numpy.polynomial import legendre
 from numpy.typing import NDArray
@@ -251,9 +250,11 @@ class SampledRecord:
 
     def waveform(self, trajectory: Trajectory) -> Floats:
         """What a trajectory makes of each of the samples."""
+        from scipy.interpolate import CubicSpline  # takes longer to import than most records need it
+
         of_amplitude, of_offset = self.columns(trajectory.terms, of=1)
         places = (np.arange(self.values.size) + 0.5) * self.of - 0.5
-        phase = scipy.interpolate.CubicSpline(places, trajectory.phase)(np.arange(self.samples.size))
+        phase = CubicSpline(places, trajectory.phase)(np.arange(self.samples.size))
         _, _, amplitude, offset = trajectory.parts
         return np.asarray(offset @ of_offset + (amplitude @ of_amplitude) * np.sin(phase))
 

@@ -46,7 +46,7 @@ FREE, LOOSE, TIGHT, EXACT = 1.0, 1e-2, 1e-6, 1e-8
 """Looseness times the squared amplitude, in turn. Over 2500 samples the last one moves the phase by a thousandth
 of what the noise leaves unknown."""
 
-ITERATIONS, LAST_ITERATIONS = 4, 8
+ITERATIONS, LAST_ITERATIONS, TO_A_STEP = 4, 8, 2
 
 NOISY_RATE = 12.0  # -2 log likelihood by which noise of the rate must explain a record better than an exact motion
 
@@ -188,7 +188,7 @@ def _roughly(record: SampledRecord, seen: FirstPhase, scale: float) -> list[Fitt
         rate[: motion.size] = motion
         parameters = np.concatenate([rate, pull, amplitude, offset])
         start = Trajectory(phase, parameters, replace(slow, rate=rate.size))
-        fitted = record.fit(start, looseness / scale, ITERATIONS, ROUGHLY)
+        fitted = record.fit(start, looseness / scale, ITERATIONS if seen.step is None else TO_A_STEP, ROUGHLY)
         phase, (_, _, amplitude, offset) = fitted.trajectory.phase, fitted.trajectory.parts
         fits.append(fitted)
     return fits
@@ -242,11 +242,12 @@ def _louder_at_beat(fitted: Fitted) -> Floats:
     number = np.arange(count // 2 + 1)
     through = 2 * fitted.variance * (2 * np.pi * number / count / at.parts[2][0]) ** 2
     lines = np.abs(np.fft.rfft(fitted.model.moved)) ** 2 / count * (step + through) / step**2
-    near = (number > max(ABOUT[0] * periods, at.terms.rate / 2)) & (number < ABOUT[1] * periods)
-    near &= np.abs(number - periods) > ITSELF
-    surplus = float(np.mean(lines[near])) - 1 if near.any() else 0.0
-    size = surplus * step / count if surplus > 0 else 0.0
-    return np.asarray(size / np.var([np.sin(at.phase), np.cos(at.phase)], axis=1))
+    slowest = max(ABOUT[0] * periods, at.terms.rate / 2)
+    if slowest > ABOUT[0] * periods:  # what is left of a noise that falls is less than what it has at the beat
+        lines *= np.maximum(number / periods, 1.0) ** 2
+    near = (number > slowest) & (number < ABOUT[1] * periods) & (np.abs(number - periods) > ITSELF)
+    surplus = max(float(np.mean(lines[near])) - 1, 0.0) if near.any() else 0.0
+    return np.asarray(surplus * step / count / np.var([np.sin(at.phase), np.cos(at.phase)], axis=1))
 
 
 def _path_of(record: SampledRecord, mask: Floats, fitted: Fitted, louder: Floats, *, moves: bool) -> Paths:

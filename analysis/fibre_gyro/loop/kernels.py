@@ -100,7 +100,11 @@ class _Loops:
         if separate:
             self._raise(self.second_ramp, injected, self.second_falls)
             np.bitwise_or(self.falls, self.second_falls, out=falls)
-            self._add_second_electrode()
+            phase = self.second_phase
+            phase[0] = phase[2]
+            second_code = self.second_ramp[1:] >> self.constants.fractional_bits
+            np.multiply(second_code, self.constants.second_span, out=phase[1:])
+            self.turns += phase[1:] - phase[:2]
         self._detect(noise)
         np.subtract(self.adc[0], self.adc[1], out=error)
         self._react(error, falls)
@@ -124,13 +128,6 @@ class _Loops:
         phase[0] = phase[2]
         np.multiply(self.converter_phase[code], self.span, out=phase[1:])
         np.subtract(phase[1:], phase[:2], out=self.turns)
-
-    def _add_second_electrode(self) -> None:
-        phase = self.second_phase
-        phase[0] = phase[2]
-        second_code = self.second_ramp[1:] >> self.constants.fractional_bits
-        np.multiply(second_code, self.constants.second_span, out=phase[1:])
-        self.turns += phase[1:] - phase[:2]
 
     def _detect(self, noise: Floats) -> None:
         """Intensity of the samples, and what the detector's converter makes of it."""

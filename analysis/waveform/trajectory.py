@@ -287,8 +287,7 @@ class _Equations:
     factors: tuple[Floats, NDArray[Any]]  # of the normal matrix with a diagonal of one
     scale: Floats  # that gives it
     gradient: Floats
-    solved: Floats  # phases that one of each parameter brings, (parameters, N), and those of the gradient
-    solved_gradient: Floats
+    phases: tuple[Floats, Floats, Floats]  # K = L D L' of the phases, and what ties them to each parameter
     phase_gradient: Floats
     full_gradient: Floats
     evidence: float
@@ -309,7 +308,7 @@ class _Equations:
         basis = polynomials(record.values.size).means[: at.terms.rate]
         n_rate, n_more = at.terms.rate, 2 * SLOW_CHANGES if changing else 0
         n_moved, n_all = n_rate + 2 + n_more, at.terms.count + n_more
-        sides, solved, by_step = record.room(n_all)
+        sides, half, by_step = record.room(n_all)
         by_step = by_step[:n_moved, :-1]
         np.multiply(basis, steps.by_rate, out=by_step[:n_rate])
         by_step[n_rate : n_rate + 2] = steps.by_sine, steps.by_cosine
@@ -329,9 +328,13 @@ class _Equations:
         phase_gradient = model.by_phase * model.left
         phase_gradient[1:] -= moved
         phase_gradient[:-1] += steps.by_phase * moved
-        np.copyto(solved, sides)
-        lapack.dpttrs(factor, ratios, solved.T, overwrite_b=True)
-        normal -= sides @ solved.T
+        # with K = L D L' the product sides K^-1 sides' is a square
+        np.copyto(half, sides)
+        lower = np.ones((2, record.values.size), order="F")
+        lower[1, :-1] = ratios
+        lapack.dtbtrs(lower, half.T, uplo="L", diag="U", overwrite_b=True)
+        half /= np.sqrt(factor)
+        normal -= half @ half.T
         evidence = float(np.log(factor).sum() + (record.values.size - 1) * np.log(looseness))
         scaled, scale = unit_diagonal(normal)
         factors = scipy.linalg.lu_factor(scaled, overwrite_a=True, check_finite=False)
@@ -339,9 +342,8 @@ class _Equations:
             normal,
             factors,
             scale,
-            full_gradient - solved @ phase_gradient,
-            solved,
-            lapack.dpttrs(factor, ratios, phase_gradient)[0],
+            full_gradient - sides @ lapack.dpttrs(factor, ratios, phase_gradient)[0],
+            (factor, ratios, sides),
             phase_gradient,
             full_gradient,
             evidence + float(np.sum(np.log(np.abs(np.diagonal(factors[0])))) - 2 * np.sum(np.log(scale))),
@@ -351,7 +353,8 @@ class _Equations:
         """Change of the phases and of the parameters, and what they gain if all is linear."""
         solution = scipy.linalg.lu_solve(self.factors, self.scale * self.gradient, check_finite=False)
         by_parameters = self.scale * solution
-        by_phase = self.solved_gradient - by_parameters @ self.solved
+        factor, ratios, sides = self.phases
+        by_phase = lapack.dpttrs(factor, ratios, self.phase_gradient - by_parameters @ sides)[0]
         gain = float(self.phase_gradient @ by_phase + self.full_gradient @ by_parameters)
         return by_phase, by_parameters, gain
 

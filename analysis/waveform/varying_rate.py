@@ -427,7 +427,10 @@ def matched_motion(phase: Floats, weights: Floats, terms: int) -> tuple[Floats, 
     # The factor is nested: what each further polynomial explains is one square.
     explained = scipy.linalg.solve_triangular(factor, scale * (columns @ target), lower=True)
     left = np.maximum(target @ target - np.cumsum(explained**2)[3:], 1e-300)
-    count = np.count_nonzero(weights)
+    rough = target - scipy.linalg.solve_triangular(factor.T, explained) * scale @ columns
+    count = max(
+        np.count_nonzero(weights) * min(float(np.sum(np.diff(rough) ** 2) / (2 * rough @ rough)), 1.0), 20.0
+    )
     degree = int(np.argmin(count * np.log(left) + np.log(count) * np.arange(left.size)))
     size = degree + 4
     solution = scale[:size] * scipy.linalg.solve_triangular(factor[:size, :size].T, explained[:size])

@@ -330,8 +330,7 @@ class _Equations:
         phase_gradient[:-1] += steps.by_phase * moved
         # with K = L D L' the product sides K^-1 sides' is a square
         np.copyto(half, sides)
-        lower = np.ones((2, record.values.size), order="F")
-        lower[1, :-1] = ratios
+        lower = np.stack([np.ones(factor.size), np.append(ratios, 0.0)])
         lapack.dtbtrs(lower, half.T, uplo="L", diag="U", overwrite_b=True)
         half /= np.sqrt(factor)
         normal -= half @ half.T

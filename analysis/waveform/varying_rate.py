@@ -42,6 +42,8 @@ ROOM, ROOM_AT_LEAST = 1.25, 2
 """So many more polynomials of the rate are kept than the criterion asks for: it is content with a fault as large
 as the noise."""
 
+FEWEST_VALUES = 20.0  # that say how many polynomials a phase asks for that is known roughly
+
 FREE, LOOSE, TIGHT, EXACT = 1.0, 1e-2, 1e-6, 1e-8
 """Looseness times the squared amplitude, in turn. Over 2500 samples the last one moves the phase by a thousandth
 of what the noise leaves unknown."""
@@ -50,14 +52,13 @@ ITERATIONS, LAST_ITERATIONS, TO_A_STEP = 4, 8, 2
 
 NOISY_RATE = 12.0  # -2 log likelihood by which noise of the rate must explain a record better than an exact motion
 
-ROUGHLY = 1.0
-"""Gain of a last step, in variances of a sample's noise, where a fit is not the last one."""
+ALIKE = 0.1  # the same, by which two such fits are not worth telling apart
+
+ROUGHLY = 1.0  # gain of the last step of a fit that is not the last one, in variances of a sample's noise
 
 IN_A_TURN, FEWEST_MEANS, BESIDE_GAPS = 10, 250, 0.9
 """Means of samples that a turn of the beat needs where it is fast, and a record; the share of the samples that
 must be left where a mean that lacks one is none."""
-
-ALIKE = 0.1  # the same, by which two such fits are not worth telling apart
 
 COARSEST, FINEST = 1.2, 0.5
 """Logarithm of the looseness to which such noise is found, before the terms are chosen, and after."""
@@ -392,16 +393,9 @@ def _places(terms: Terms, fewer: Terms) -> Indices:
     """Where the parameters of `fewer` terms stand among those of all."""
     first = terms.rate + 2
     second = first + terms.amplitude
-    parts = [
-        np.arange(fewer.rate),
-        np.arange(terms.rate, first),
-        first + np.arange(fewer.amplitude),
-        second + np.arange(fewer.offset),
-    ]
-    if fewer.step is not None:
-        parts.append(np.array([terms.count - 1]))
     # the rate first, as in `Trajectory`
-    return np.concatenate(parts)
+    kept = np.r_[: fewer.rate, terms.rate : first, first : first + fewer.amplitude, second : second + fewer.offset]
+    return kept if fewer.step is None else np.append(kept, terms.count - 1)
 
 
 # --------------------
@@ -418,8 +412,8 @@ def _places(terms: Terms, fewer: Terms) -> Indices:
 def matched_motion(phase: Floats, weights: Floats, terms: int) -> tuple[Floats, Floats]:
     """Coefficients of a, and s and c, with as many polynomials as the phase asks for, at most `terms`."""
     # by the Bayesian information criterion
-    others = [np.ones(phase.size), -_integral(np.sin(phase)), _integral(np.cos(phase))]
-    columns = np.concatenate([others, polynomials(phase.size).integrals[:terms]])
+    integrals = [np.cumsum(values) - (values + values[0]) / 2 for values in (-np.sin(phase), np.cos(phase))]
+    columns = np.concatenate([[np.ones(phase.size), *integrals], polynomials(phase.size).integrals[:terms]])
     columns *= weights
     target = weights * phase
     normal, scale = unit_diagonal(columns @ columns.T)
@@ -427,18 +421,14 @@ def matched_motion(phase: Floats, weights: Floats, terms: int) -> tuple[Floats, 
     # The factor is nested: what each further polynomial explains is one square.
     explained = scipy.linalg.solve_triangular(factor, scale * (columns @ target), lower=True)
     left = np.maximum(target @ target - np.cumsum(explained**2)[3:], 1e-300)
+    # what all terms leave is as many values as it forgets: a phase that walks is no motion
     rough = target - scipy.linalg.solve_triangular(factor.T, explained) * scale @ columns
-    count = max(
-        np.count_nonzero(weights) * min(float(np.sum(np.diff(rough) ** 2) / (2 * rough @ rough)), 1.0), 20.0
-    )
+    forgotten = min(np.sum(np.diff(rough) ** 2) / max(2 * rough @ rough, 1e-300), 1.0)
+    count = max(np.count_nonzero(weights) * float(forgotten), FEWEST_VALUES)
     degree = int(np.argmin(count * np.log(left) + np.log(count) * np.arange(left.size)))
     size = degree + 4
     solution = scale[:size] * scipy.linalg.solve_triangular(factor[:size, :size].T, explained[:size])
     return solution[3:], solution[1:3]
-
-
-def _integral(values: Floats) -> Floats:
-    return np.concatenate([[0.0], np.cumsum((values[1:] + values[:-1]) / 2)])
 
 
 # --------------------

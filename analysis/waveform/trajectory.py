@@ -64,11 +64,11 @@ def exact_steps(phase: Floats, mean_rate: Floats, rate: Floats, sine: float, cos
     turn = (rate[1:] - rate[:-1]) / 12
     s, c = sine - turn * cosine, cosine + turn * sine
     square = (mean_rate**2 - s**2 - c**2) / 4
-    root = np.sqrt(np.abs(square))
-    even, odd = np.cos(root), np.sinc(root / np.pi)
+    root = np.sqrt(np.maximum(np.abs(square), 1e-18))
+    even, odd = np.cos(root), np.sin(root) / root
     locked = np.flatnonzero(square < 0)
     if locked.size:
-        slow = np.clip(root[locked], 1e-9, LOCKED_AT_MOST)
+        slow = np.minimum(root[locked], LOCKED_AT_MOST)
         even[locked], odd[locked] = np.cosh(slow), np.sinh(slow) / slow
     odd /= 2
     n1 = even * n0 + odd * ((mean_rate + c) * d0 - s * n0)
@@ -137,9 +137,11 @@ class Trajectory:
     terms: Terms
 
     @property
-    def parts(self) -> list[Floats]:
+    def parts(self) -> tuple[Floats, Floats, Floats, Floats]:
         """Coefficients of a(t), rad per mean; s and c; coefficients of A(t), and of C(t) with its step last."""
-        return np.split(self.parameters, np.cumsum([self.terms.rate, 2, self.terms.amplitude]))
+        pull, amplitude, every = self.terms.rate, self.terms.rate + 2, self.parameters
+        offset = amplitude + self.terms.amplitude
+        return every[:pull], every[pull:amplitude], every[amplitude:offset], every[offset:]
 
 
 @dataclass(frozen=True)

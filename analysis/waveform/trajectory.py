@@ -22,7 +22,6 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-import scipy.linalg
 from numpy.polynomial import legendre
 from numpy.typing import NDArray
 from scipy.linalg import lapack
@@ -338,22 +337,23 @@ class _Equations:
         normal -= half @ half.T
         evidence = float(np.log(factor).sum() + (record.values.size - 1) * np.log(looseness))
         scaled, scale = unit_diagonal(normal)
-        factors = scipy.linalg.lu_factor(scaled, overwrite_a=True, check_finite=False)
+        upper, pivots, failed = lapack.dgetrf(scaled)
+        if failed:
+            raise np.linalg.LinAlgError("the parameters are not determined")
         return _Equations(
             normal,
-            factors,
+            (upper, pivots),
             scale,
             full_gradient - sides @ lapack.dpttrs(factor, ratios, phase_gradient)[0],
             (factor, ratios, sides),
             phase_gradient,
             full_gradient,
-            evidence + float(np.sum(np.log(np.abs(np.diagonal(factors[0])))) - 2 * np.sum(np.log(scale))),
+            evidence + float(np.sum(np.log(np.abs(np.diagonal(upper)))) - 2 * np.sum(np.log(scale))),
         )
 
     def solve(self) -> tuple[Floats, Floats, float]:
         """Change of the phases and of the parameters, and what they gain if all is linear."""
-        solution = scipy.linalg.lu_solve(self.factors, self.scale * self.gradient, check_finite=False)
-        by_parameters = self.scale * solution
+        by_parameters = self.scale * lapack.dgetrs(*self.factors, self.scale * self.gradient)[0]
         factor, ratios, sides = self.phases
         by_phase = lapack.dpttrs(factor, ratios, self.phase_gradient - by_parameters @ sides)[0]
         gain = float(self.phase_gradient @ by_phase + self.full_gradient @ by_parameters)

@@ -519,11 +519,11 @@ def _separation(plan: Plan) -> list[str]:
         return [said + more * (rates > 1)]
     if request.distortion_separated:
         both = plan_measurement(replace(request, both_senses=True))
-        few, slow = "tell distortion from lock-in, but", ""
+        few, most = "tell distortion from lock-in, but", "most of the uncertainty"
         if rates < FEW_RATES:
-            few, slow = "may have two solutions, and", ", and more than that if the laser's gain is slow"
+            few, most = "may have two solutions, and", f"{most}, more if the laser's gain is slow"
         return [
-            f"{rates} rates in one sense {few} what separates them costs most of the uncertainty{slow}. In both senses "
+            f"{rates} rates in one sense {few} what separates them costs {most}. In both senses "
             f"(--both-senses) {both.records * len(both.rates)} records give {100 * both.budget.relative_u:.2g} %."
         ]
     line = next(iter(plan.budget.inputs))

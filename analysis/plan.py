@@ -23,7 +23,7 @@ from analysis.lockin_equation import beat_frequency, harmonic_ratio
 from analysis.lockin_rate import MAINS_ORDERS
 from analysis.several_rates import COUNTED, RatioData, predicted_ratio
 from analysis.several_rates.fit import gain_time_is_open, over_gain_times
-from analysis.several_rates.laser_fit import FIRST, GAIN, SATURATION, SECOND, LaserData, LaserFit, LaserModel
+from analysis.several_rates.laser_fit import GAIN, SATURATION, LaserData, LaserFit, LaserModel
 from analysis.several_rates.points import UsedRecords, gather, place_in_run, records_of_arrays
 from analysis.several_rates.ratio_model import N_PARAMETERS, all_solutions, fit_ratios, prior_of, whitening_factor
 from analysis.several_rates.result import answer
@@ -444,8 +444,7 @@ def _drawn(rng: np.random.Generator, data: LaserData, coupling: float) -> Floats
     both = np.array([1 / turn, ratio * turn]) * np.exp(1j * rng.uniform(0, 2 * np.pi))
     both *= coupling / abs(both.sum())
     parameters = data.mean.copy()
-    for part, one in zip((FIRST, SECOND), both, strict=True):
-        parameters[part] = math.log(abs(one)), np.angle(one)
+    parameters[:4] = [number for one in both for number in (math.log(abs(one)), np.angle(one))]
     parameters[GAIN] = math.log(float(data.points.points.angular.min()) / slowness)
     parameters[SATURATION] = rng.uniform(*_SATURATIONS)
     return parameters

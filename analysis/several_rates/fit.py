@@ -739,16 +739,12 @@ def over_gain_times(
     heights = 0.5 * (fits.chi_square - fits.chi_square.min()) / widen
     # a bound ends much sooner than a bell
     beyond = times - mean if mean > 0 else _ENDS * np.maximum(times - math.sqrt(3) * sd, 0.0)
-    middles = (times[1:] + times[:-1]) / 2
-    edges = np.concatenate([times[:1], middles, times[-1:]])
-    weights = (
-        np.asarray(np.diff(edges) * np.exp(-0.5 * (beyond / sd) ** 2))[at] * minimum_volumes(fits)
-    ) * np.exp(-heights)
+    widths = np.diff(np.concatenate([times[:1], (times[1:] + times[:-1]) / 2, times[-1:]]))
+    weights = (widths * np.exp(-0.5 * (beyond / sd) ** 2))[at] * minimum_volumes(fits) * np.exp(-heights)
     values, us = np.hypot(fits.parameters[:, 0], fits.parameters[:, 1]), size_us(fits) * math.sqrt(widen)
     _, _, low, high = of_bells(values, us, weights)
     low, high = min(said.low, max(low, 0.0)), max(said.high, high)
-    rates = np.abs(data.rate)
-    if np.ptp(rates) > SAME_RATE * rates.max():
+    if np.ptp(np.abs(data.rate)) > SAME_RATE * np.abs(data.rate).max():
         # there may be no gain time to speak of, as `said` takes it, or any within the bound: both count half
         square = float(np.average(us**2 + (values - said.value) ** 2, weights=weights))
         return replace(said, u=math.sqrt((said.u**2 + square) / 2), low=low, high=high)

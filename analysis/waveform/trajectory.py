@@ -93,6 +93,7 @@ DERIVATIVES = np.array([[-1, 7, 7, -1], [-1, 15, -15, 1]]) / 12
 """First and second derivative in the middle of four even steps, the last one first, by what each advances."""
 
 LARGEST_TURN = 1.0  # rad by which a phase may change in one step of the fit
+PHASES_ALONE = 2  # steps by which the phases of samples are found from those of means
 SHORTER, SHORTENED = 4.0, 6  # a step that makes the fit worse is tried again so many times shorter, and so often
 ENOUGH = 1e-3  # gain of a last step, in variances of a sample's noise: a thirtieth of a standard uncertainty
 
@@ -157,6 +158,21 @@ class TrajectoryModel:
         """The sum that is minimised."""
         return float(self.left @ self.left + self.moved @ self.moved / looseness)
 
+    def phases(self, looseness: float) -> tuple[Floats, Floats, Floats]:
+        """D and L of the matrix L D L' of the phases, which is tridiagonal, and their gradient."""
+        tight, along = 1 / looseness, self.steps.by_phase
+        diagonal = self.by_phase**2
+        diagonal += RIDGE * np.mean(diagonal)
+        diagonal[1:] += tight
+        diagonal[:-1] += along**2 * tight
+        factor, ratios, failed = lapack.dpttrf(diagonal, -along * tight)
+        if failed:
+            raise np.linalg.LinAlgError("the phases are not determined")
+        gradient = self.by_phase * self.left
+        gradient[1:] -= self.moved * tight
+        gradient[:-1] += along * self.moved * tight
+        return factor, ratios, gradient
+
 
 @dataclass(frozen=True)
 class Fitted:
@@ -187,7 +203,7 @@ class SampledRecord:
     """One record, `mask` 0 where a sample is missing, as the (N,) means of `of` samples each that are fitted."""
 
     def __init__(self, samples: Floats, mask: Floats, of: int = 1) -> None:
-        self.samples, self.count, self.of = samples, float(mask.sum()), of
+        self.samples, self.valid, self.count, self.of = samples, mask, float(mask.sum()), of
         self.values, self.mask = samples.reshape(-1, of).mean(axis=1), mask.reshape(-1, of).min(axis=1)
         self._bend = (1 - of**-2.0) / 24  # a mean is off by so much of the second derivative
         self._room = np.empty((3, 0, self.values.size))
@@ -240,24 +256,28 @@ class SampledRecord:
         inverse = (np.linalg.inv(scaled) * scale * scale[:, np.newaxis])[places]
         return inverse @ equations.gradient, inverse[:, places] * fitted.variance
 
-    def columns(self, terms: Terms, of: int | None = None) -> tuple[Floats, Floats]:
-        """What A and C are made of, (terms, N) each, or at each of the samples if `of` is 1."""
-        low = polynomials(self.samples.size // (of or self.of)).values
+    def columns(self, terms: Terms) -> tuple[Floats, Floats]:
+        """What A and C are made of, (terms, N) each."""
+        low = polynomials(self.values.size).values
         of_offset = low[: terms.offset]
         if terms.step is not None:
-            behind = (np.arange(self.samples.size) >= terms.step).reshape(-1, of or self.of).mean(axis=1)
+            behind = (np.arange(self.samples.size) >= terms.step).reshape(-1, self.of).mean(axis=1)
             of_offset = np.concatenate([of_offset, behind[np.newaxis]])
         return low[: terms.amplitude], of_offset
 
-    def waveform(self, trajectory: Trajectory) -> Floats:
-        """What a trajectory makes of each of the samples."""
+    def residual(self, trajectory: Trajectory, looseness: float = 0.0) -> Floats:
+        """What a trajectory leaves of each sample; with a looseness its phase goes its way between means."""
         from scipy.interpolate import CubicSpline  # takes longer to import than most records need it
 
-        of_amplitude, of_offset = self.columns(trajectory.terms, of=1)
+        by_mean = np.arange(trajectory.terms.count) < trajectory.terms.rate + 2
+        whole, parameters = SampledRecord(self.samples, self.valid), trajectory.parameters / self.of**by_mean
         places = (np.arange(self.values.size) + 0.5) * self.of - 0.5
         phase = CubicSpline(places, trajectory.phase)(np.arange(self.samples.size))
-        _, _, amplitude, offset = trajectory.parts
-        return np.asarray(offset @ of_offset + (amplitude @ of_amplitude) * np.sin(phase))
+        now = Trajectory(phase, parameters, trajectory.terms)
+        for _ in range(PHASES_ALONE if looseness else 0):
+            factor, ratios, gradient = whole._model(now).phases(looseness / self.of**2)
+            now = replace(now, phase=now.phase + lapack.dpttrs(factor, ratios, gradient)[0])
+        return whole._model(now).left
 
     def _model(self, trajectory: Trajectory) -> TrajectoryModel:
         of_amplitude, of_offset = self.columns(trajectory.terms)
@@ -299,13 +319,7 @@ class _Equations:
     ) -> _Equations:
         """`changing`: behind s and c what they are times each of the next polynomials."""
         steps, tight = model.steps, 1 / looseness
-        diagonal = model.by_phase**2
-        diagonal += RIDGE * np.mean(diagonal)
-        diagonal[1:] += tight
-        diagonal[:-1] += steps.by_phase**2 * tight
-        factor, ratios, failed = lapack.dpttrf(diagonal, -steps.by_phase * tight)
-        if failed:
-            raise np.linalg.LinAlgError("the phases are not determined")
+        factor, ratios, phase_gradient = model.phases(looseness)
         basis = polynomials(record.values.size).means[: at.terms.rate]
         n_rate, n_more = at.terms.rate, 2 * SLOW_CHANGES if changing else 0
         n_moved, n_all = n_rate + 2 + n_more, at.terms.count + n_more
@@ -316,19 +330,15 @@ class _Equations:
         for k in range(1, n_more // 2 + 1):
             slow = polynomials(record.values.size).means[k]
             by_step[n_rate + 2 * k : n_rate + 2 * k + 2] = by_step[n_rate : n_rate + 2] * slow
-        moved = model.moved * tight
         normal = np.zeros((n_all, n_all))
         normal[:n_moved, :n_moved] = tight * (by_step @ by_step.T)
         normal[n_moved:, n_moved:] = model.by_sample @ model.by_sample.T
-        full_gradient = np.concatenate([by_step @ moved, model.by_sample @ model.left])
+        full_gradient = np.concatenate([tight * (by_step @ model.moved), model.by_sample @ model.left])
         np.multiply(by_step, steps.by_phase * tight, out=sides[:n_moved, :-1])
         sides[:n_moved, -1] = 0.0
         by_step *= tight
         sides[:n_moved, 1:] -= by_step
         np.multiply(model.by_sample, model.by_phase, out=sides[n_moved:])
-        phase_gradient = model.by_phase * model.left
-        phase_gradient[1:] -= moved
-        phase_gradient[:-1] += steps.by_phase * moved
         # with K = L D L' the product sides K^-1 sides' is a square
         np.copyto(half, sides)
         lower = np.stack([np.ones(factor.size), np.append(ratios, 0.0)])

@@ -110,44 +110,41 @@ def fit_moving_rate(values: Floats, mask: Floats) -> MovingFits | None:
     """Fit one record by the exact equation, whatever its rate does."""
     if (seen := first_phase(values, mask)) is None:
         return None
+    # so many samples stand for each other that enough means are left of a turn, and of the samples beside gaps
+    quarter = max(int(mask.size * np.pi / 2 / np.ptp(seen.phase)), 1)
+    fastest = float(np.quantile(seen.phase[quarter:] - seen.phase[:-quarter], 1 - AT_ENDS)) / quarter
+    most = int(min(2 * np.pi / IN_A_TURN / max(fastest, 1e-9), mask.size / FEWEST_MEANS))
+    kept = {of: of * mask.reshape(-1, of).min(axis=1).sum() for of in range(2, most + 1) if mask.size % of == 0}
+    of = max((of for of, count in kept.items() if count > BESIDE_GAPS * mask.sum()), default=1)
     try:
         with np.errstate(all="ignore"):  # a step too far gives nan, and is taken back
-            record = SampledRecord(values, mask, _joined(seen, mask))
-            fitted, needed, noisy = _fitted(record, mask, seen)
+            record = SampledRecord(values, mask, of)
+            fitted, needed, noisy = _fitted(record, seen)
             louder = _louder_at_beat(fitted) if noisy else np.zeros(2)
-            fits = as_beats(_path_of(record, mask, fitted, louder, moves=noisy or needed.rate > 1))
+            left = record.residual(fitted.trajectory, fitted.looseness if noisy else 0.0)
+            fits = as_beats(_path_of(record, fitted, left, louder, moves=noisy or needed.rate > 1))
             if noisy:
                 slower = int(needed.rate / np.pi)  # of the slowest lines the polynomials have left little
                 of_steps = np.abs(np.fft.rfft(fitted.model.moved)[1 + slower :]) ** 2
                 silent = fitted.variance * record.of < (SILENT * float(np.mean(seen.amplitude))) ** 2
-                walk = float(np.sqrt(fitted.looseness * fitted.variance * record.values.size))
-                vibrates = silent or line_stands_out(of_steps)
-                fits = replace(fits, walk=np.array([walk]), vibrates=np.array([vibrates]))
+                walk = np.sqrt([fitted.looseness * fitted.variance * record.values.size])
+                fits = replace(fits, walk=walk, vibrates=np.array([silent or line_stands_out(of_steps)]))
             return fits if fits.believed[0] else None
     except np.linalg.LinAlgError:
         return None
 
 
-def _joined(seen: FirstPhase, mask: Floats) -> int:
-    """How many samples may stand for each other, so that enough are left of a turn, and of those beside gaps."""
-    quarter = max(int(mask.size * np.pi / 2 / np.ptp(seen.phase)), 1)
-    fastest = float(np.quantile(seen.phase[quarter:] - seen.phase[:-quarter], 1 - AT_ENDS)) / quarter
-    most = int(min(2 * np.pi / IN_A_TURN / max(fastest, 1e-9), mask.size / FEWEST_MEANS))
-    kept = {of: of * mask.reshape(-1, of).min(axis=1).sum() for of in range(2, most + 1) if mask.size % of == 0}
-    return max((of for of, count in kept.items() if count > BESIDE_GAPS * mask.sum()), default=1)
-
-
-def _fitted(record: SampledRecord, mask: Floats, seen: FirstPhase) -> tuple[Fitted, Terms, bool]:
+def _fitted(record: SampledRecord, seen: FirstPhase) -> tuple[Fitted, Terms, bool]:
     """The fit, the terms that the data ask for, and whether the rate is noisy."""
     scale = (float(np.mean(seen.amplitude)) / record.of) ** 2
-    free, loose = _roughly(SampledRecord(record.samples, mask * seen.trusted, record.of), seen, scale)
+    free, loose = _roughly(SampledRecord(record.samples, record.valid * seen.trusted, record.of), seen, scale)
     if seen.step is not None:  # it goes to the sample where the record says it is
         inside = np.flatnonzero(~seen.trusted)
         height = float(loose.trajectory.parameters[-1])
         before = replace(loose.trajectory, parameters=np.concatenate([loose.trajectory.parameters[:-1], [0.0]]))
-        left, valid = (record.samples - record.waveform(before))[inside], mask[inside]
+        left, valid = record.residual(before)[inside], record.valid[inside]
         # sums of squares if the step comes before the i-th sample of these
-        below = np.concatenate([[0.0], np.cumsum(valid * left**2)])
+        below = np.concatenate([[0.0], np.cumsum(left**2)])
         above = np.concatenate([np.cumsum((valid * (left - height) ** 2)[::-1])[::-1], [0.0]])
         step = int(inside[0] + np.argmin(below + above))
         moved = replace(loose.trajectory, terms=replace(loose.trajectory.terms, step=step))
@@ -251,7 +248,7 @@ def _louder_at_beat(fitted: Fitted) -> Floats:
     return np.asarray(surplus * step / count / np.var([np.sin(at.phase), np.cos(at.phase)], axis=1))
 
 
-def _path_of(record: SampledRecord, mask: Floats, fitted: Fitted, louder: Floats, *, moves: bool) -> Paths:
+def _path_of(record: SampledRecord, fitted: Fitted, left: Floats, louder: Floats, *, moves: bool) -> Paths:
     """What a trajectory says of its record."""
     trajectory, terms, n_means = fitted.trajectory, fitted.trajectory.terms, record.values.size
     to_amplitude, to_offset = record.columns(terms)
@@ -276,7 +273,7 @@ def _path_of(record: SampledRecord, mask: Floats, fitted: Fitted, louder: Floats
         float(np.mean(offset)),
         fitted.variance * record.of,
         record.count - terms.count - 1,
-        (record.samples - record.waveform(trajectory)) * mask,
+        left,
         np.inf if moves else 0.0,
         0.0,
         np.inf if even else float(np.quantile(rates, AT_ENDS)) / record.of,

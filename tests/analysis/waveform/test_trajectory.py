@@ -55,4 +55,17 @@ def test_means_of_samples_tell_the_pull_that_the_samples_tell(of: int) -> None:
     fitted = record.fit(record.fit(start, 1e-2, 30), 1e-8, 60)
     off = fitted.trajectory.parts[1] / of - step * np.array([0.5, 0.3])
     assert np.all(np.abs(off) < 4 * np.sqrt(np.diagonal(fitted.covariance)[1:3]) / of)
-    assert np.std(values - record.waveform(fitted.trajectory)) == pytest.approx(1e-3, rel=0.1)
+    assert np.std(record.residual(fitted.trajectory)) == pytest.approx(1e-3, rel=0.1)
+
+
+def test_a_phase_that_walks_is_followed_between_the_means() -> None:
+    """What is left of the samples must be their noise, not what the phase does within a mean."""
+    rng, of, walk, noise = np.random.default_rng(7), 5, 0.02, 2e-3
+    phase = np.cumsum(0.06 + walk * rng.normal(size=2500))
+    values = 0.4 * np.sin(phase) + rng.normal(0.0, noise, phase.size)
+    record, looseness = SampledRecord(values, np.ones(phase.size), of), of**2 * (walk / noise) ** 2
+    parameters = np.array([0.06 * of, 1e-3, 1e-3, 0.4, 0.0])
+    start = Trajectory(phase.reshape(-1, of).mean(axis=1), parameters, Terms(1, 1, 1))
+    fitted = record.fit(start, looseness, 30)
+    assert np.std(record.residual(fitted.trajectory, looseness)) < noise
+    assert np.std(record.residual(fitted.trajectory)) > 2 * noise

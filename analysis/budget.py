@@ -207,7 +207,8 @@ def stated_inputs(
         name, quantity = "response", "response of the channel at 2f over f, measured"
         yield BudgetInput(name, quantity, "1", 1.0, knowledge.response_u, "normal", -share, note="corrected")
     if limit := knowledge.tail_limit:
-        u = max(abs(shift(partial(tail_on_ratio, size=limit, after_s=after))) for after in TAIL_TIMES) / _RECTANGLE
+        tails = (partial(tail_on_ratio, size=size, after_s=t) for size in (limit, -limit) for t in TAIL_TIMES)
+        u = max(abs(shift(tail)) for tail in tails) / _RECTANGLE
         note = f"up to {100 * limit:.2g} %, after 0.3 to 3 ms"
         yield BudgetInput("tail", "thermal tail of the channel", "deg/s", 0.0, u, "rectangular", 1.0, note=note)
 

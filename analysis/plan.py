@@ -443,10 +443,9 @@ def _drawn(rng: np.random.Generator, data: LaserData, coupling: float) -> Floats
     turn = np.exp(0.5j * rng.uniform(0, np.pi))
     both = np.array([1 / turn, ratio * turn]) * np.exp(1j * rng.uniform(0, 2 * np.pi))
     both *= coupling / abs(both.sum())
-    parameters = data.mean.copy()
+    parameters, corner = data.mean.copy(), data.points.points.angular.min() / slowness
     parameters[:4] = [number for one in both for number in (math.log(abs(one)), np.angle(one))]
-    parameters[GAIN] = math.log(float(data.points.points.angular.min()) / slowness)
-    parameters[SATURATION] = rng.uniform(*_SATURATIONS)
+    parameters[[GAIN, SATURATION]] = np.log(corner), rng.uniform(*_SATURATIONS)
     return parameters
 
 

@@ -187,7 +187,7 @@ def test_a_thermal_tail_has_the_effect_of_a_record_that_went_through_one(over: f
 @pytest.mark.slow
 def test_a_stated_thermal_tail_covers_what_it_does_to_a_run() -> None:
     silent, stated = (
-        sbc.outcome(sbc.PLANS["default run"], 0.1, sbc.FAULTS[name], 512)
+        sbc.outcome(sbc.PLANS["default run"], 0.1, sbc.FAULTS[name], 555)
         for name in ("thermal tail of 0.2 to 1 %", "the same, 1 % stated")
     )
     assert abs(silent.pull) > 1.5 and abs(stated.pull) < 1.0 and stated.covered

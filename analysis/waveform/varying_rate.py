@@ -35,14 +35,13 @@ RATE_TERMS, RATE_TERMS_PER_PERIOD = 6, 2.0
 """A motion as fast as the beat itself could not be told from lock-in: with so many polynomials per period, the
 fastest has two thirds of the frequency of the beat."""
 
-ENOUGH_TERMS, TERMS_FOR_A_THIRD = 130, 1.4
-"""Of many periods not all that could be told apart are tried: so many, or those that reach a third of the beat."""
+ENOUGH_TERMS, TERMS_FOR_A_THIRD, FEWEST_VALUES = 130, 1.4, 20.0
+"""Of many periods not all that could be told apart are tried: so many, or those that reach a third of the beat. A
+phase that is known roughly says how many of them it asks for as so many values, if it walks."""
 
 ROOM, ROOM_AT_LEAST = 1.25, 2
 """So many more polynomials of the rate are kept than the criterion asks for: it is content with a fault as large
 as the noise."""
-
-FEWEST_VALUES = 20.0  # that say how many polynomials a phase asks for that is known roughly
 
 FREE, LOOSE, TIGHT, EXACT = 1.0, 1e-2, 1e-6, 1e-8
 """Looseness times the squared amplitude, in turn. Over 2500 samples the last one moves the phase by a thousandth
@@ -124,8 +123,9 @@ def fit_moving_rate(values: Floats, mask: Floats) -> MovingFits | None:
             left = record.residual(fitted.trajectory, fitted.looseness if noisy else 0.0)
             fits = as_beats(_path_of(record, fitted, left, louder, moves=noisy or needed.rate > 1))
             if noisy:
-                slower = int(needed.rate / np.pi)  # of the slowest lines the polynomials have left little
-                of_steps = np.abs(np.fft.rfft(fitted.model.moved)[1 + slower :]) ** 2
+                of_steps = np.abs(np.fft.rfft(fitted.model.moved)[1:]) ** 2
+                taken = int(needed.rate / np.pi)  # the slowest lines, of which the polynomials have left little
+                of_steps[:taken] = of_steps[taken : 2 * taken][::-1]
                 silent = fitted.variance * record.of < (SILENT * float(np.mean(seen.amplitude))) ** 2
                 walk = np.sqrt([fitted.looseness * fitted.variance * record.values.size])
                 fits = replace(fits, walk=walk, vibrates=np.array([silent or line_stands_out(of_steps)]))

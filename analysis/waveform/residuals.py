@@ -62,13 +62,13 @@ def surroundings(power: Samples) -> Floats:
     return np.asarray(around)
 
 
-def line_stands_out(power: Samples, *, few_lines: bool = False) -> bool:
+def line_stands_out(power: Samples, chance: float = LINE_CHANCE, *, few_lines: bool = False) -> bool:
     """Whether a line of a spectrum (L,) stands out of its neighbours, as hardly any does in any noise."""
     # `few_lines` is the answer where there are too few lines to have neighbours.
     if power.size < 2 * (2 * NEIGHBOURS + 1):
         return few_lines
     strongest = float((power / np.maximum(surroundings(power), 1e-300)).max())
-    return strongest > math.log(power.size / LINE_CHANCE)
+    return strongest > math.log(power.size / chance)
 
 
 def misfit_of(

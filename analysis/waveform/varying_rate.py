@@ -62,8 +62,8 @@ must be left where a mean that lacks one is none."""
 COARSEST, FINEST = 1.2, 0.5
 """Logarithm of the looseness to which such noise is found, before the terms are chosen, and after."""
 
-SILENT = 1e-6
-"""Noise over amplitude below which no converter goes: all there is has then been taken for noise of the rate."""
+SILENT, CHANCE = 1e-6, 1e-4
+"""Noise over amplitude of no converter: the rate's has taken all there is; share of records whose line is none."""
 
 ABOUT, ITSELF = (0.6, 1.6), 1.2  # lines about the beat, over its own; so near to it s and c have taken them
 
@@ -128,7 +128,7 @@ def fit_moving_rate(values: Floats, mask: Floats) -> MovingFits | None:
                 of_steps[:taken] = of_steps[taken : 2 * taken][::-1]
                 silent = fitted.variance * record.of < (SILENT * float(np.mean(seen.amplitude))) ** 2
                 walk = np.sqrt([fitted.looseness * fitted.variance * record.values.size])
-                fits = replace(fits, walk=walk, vibrates=np.array([silent or line_stands_out(of_steps)]))
+                fits = replace(fits, walk=walk, vibrates=np.array([silent or line_stands_out(of_steps, CHANCE)]))
             return fits if fits.believed[0] else None
     except np.linalg.LinAlgError:
         return None

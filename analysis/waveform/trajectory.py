@@ -181,7 +181,7 @@ class Fitted:
     trajectory: Trajectory
     looseness: float
     cost: float  # the sum that was minimised, in squared units of the samples
-    degrees: float  # samples less parameters
+    degrees: float  # means of samples less parameters
     normal: Floats  # (P, P) normal matrix of the parameters, phases eliminated
     evidence: float  # -2 log of the restricted likelihood, without a constant, its noise at its best
     model: TrajectoryModel
@@ -189,7 +189,7 @@ class Fitted:
 
     @property
     def variance(self) -> float:
-        """Of the noise of a sample."""
+        """Of the noise of a mean of samples."""
         return self.cost / self.degrees
 
     @property

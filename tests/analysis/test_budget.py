@@ -22,6 +22,7 @@ from analysis.budget import (
     expected_point,
     lock_in_budget,
     operating_point,
+    stated_inputs,
 )
 from analysis.rotation import rate_on_axis
 from benchmarks import sbc
@@ -182,6 +183,15 @@ def test_a_thermal_tail_has_the_effect_of_a_record_that_went_through_one(over: f
     said = line(lock_in_budget(point, bench(tail_limit=0.01)), "tail")
     assert math.sqrt(3) * said.contribution == pytest.approx(max(moved), rel=0.15)
     assert not [one for one in lock_in_budget(point, bench()).inputs if one.name == "tail"]
+
+
+@pytest.mark.parametrize("way", [1, -1])
+def test_a_tail_counts_if_it_moves_the_result_in_one_direction_alone(way: int) -> None:
+    seen = np.array([100.0])
+    (said,) = stated_inputs(
+        bench(tail_limit=0.01), 1.0, lambda factor: max(way * (float(np.abs(factor(seen)[0])) - 1), 0.0)
+    )
+    assert 1e-4 < said.contribution < 0.01
 
 
 @pytest.mark.slow

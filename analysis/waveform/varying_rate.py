@@ -124,7 +124,7 @@ def fit_moving_rate(values: Floats, mask: Floats) -> MovingFits | None:
             fits = as_beats(_path_of(record, fitted, left, louder, moves=noisy or needed.rate > 1))
             if noisy:
                 of_steps = np.abs(np.fft.rfft(fitted.model.moved)[1:]) ** 2
-                taken = int(needed.rate / np.pi)  # the slowest lines, of which the polynomials have left little
+                taken = min(int(needed.rate / np.pi), of_steps.size // 2)  # polynomials have left little of these
                 of_steps[:taken] = of_steps[taken : 2 * taken][::-1]
                 silent = fitted.variance * record.of < (SILENT * float(np.mean(seen.amplitude))) ** 2
                 walk = np.sqrt([fitted.looseness * fitted.variance * record.values.size])

@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike
 
 from analysis.arrays import Complexes, Floats
 from analysis.waveform.frequency import NanPolicy, Records, SpectralStart, as_stack, records_at_once
-from analysis.waveform.series import Step, carrier_of, phasors, record_grid, step_by_samples
+from analysis.waveform.series import Step, carrier_of, step_by_samples
 
 ITERATIONS = 12
 """Gauss-Newton converges quadratically here: 3 to 5 steps are used, the rest is for hopeless records."""
@@ -114,8 +114,7 @@ def fit_free_harmonics(
     # With all amplitudes zero the frequency has no influence: the first step solves the linear part alone.
     going_on = np.ones(n_records, dtype=bool)
     for number in range(iterations + 1):
-        coarse, fine = (phasors(omega, place, values.dtype) for place in record_grid(n_samples))
-        carrier = carrier_of(coarse, fine, n_samples)
+        carrier = carrier_of(omega, n_samples, values.dtype)
         left, slope, wave = values - offset[:, np.newaxis], np.zeros(values.shape), np.ones_like(carrier)
         for order, amplitude in enumerate(amplitudes.T, 1):
             wave *= carrier

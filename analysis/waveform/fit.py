@@ -367,18 +367,19 @@ def _followed(
     for first in range(0, rows.size, MOVING_AT_ONCE):
         some = never_alone(rows[first : first + MOVING_AT_ONCE])
         left = left_by(series.take(some), records.values[some], masks.of_any(some)).astype(np.float64)
-        asked = fatal[some] | may_be_motion(left, series.take(some))
-        quiet = never_alone(np.flatnonzero(asked & ~fatal[some] & masks.whole(some)))
-        if quiet.size:
-            here = some[quiet]
-            small, moved = small_motions(records.values[here], left[quiet], series.take(here))
+        whole = masks.whole(some) & ~fatal[some]
+        asked, told, sidebands = may_be_motion(left, series.take(some), whole)
+        asked |= fatal[some]
+        if told.size:
+            here = some[told]
+            small, moved = small_motions(records.values[here], sidebands, series.take(here))
             if small.size:
                 here = here[small]
                 again = left_by_motion(here, moved)
                 settled = never_alone(np.flatnonzero(again.flags == 0))
                 if settled.size:
                     yield here[settled], moved.take(settled), again.take(settled), True
-                    asked[quiet[small[settled]]] = False
+                    asked[told[small[settled]]] = False
         some = never_alone(np.unique(some[asked]))
         if not some.size:
             continue

@@ -472,7 +472,7 @@ BESIDE = 24
 
 FEWEST_BESIDE = 24  # bins of noise without which nothing is said
 
-NOTHING = 1e-200
+NOTHING, ROUNDED = 1e-200, 1e-6  # the latter of sums in single precision
 
 
 def may_repeat(sizes: Sizes, omega: Floats, mean: Floats, n_samples: int) -> tuple[Bools, Bools]:
@@ -533,14 +533,17 @@ def by_level(left: Floats, level: Floats, degrees: Floats) -> tuple[Floats, Bool
     # Where rate or baseline moves, what a curved or damaged characteristic leaves has no frequency of its own. It
     # is a function of the level yet, and polynomials of that (Chebyshev's) take it up.
     lowest, highest = level.min(axis=1, keepdims=True), level.max(axis=1, keepdims=True)
-    place = (2 * level - lowest - highest) / np.maximum(highest - lowest, NOTHING)
-    columns = np.empty((len(left), LAST + 1, left.shape[1]))
+    place = ((2 * level - lowest - highest) / np.maximum(highest - lowest, NOTHING)).astype(np.float32)
+    columns = np.empty((len(left), LAST + 1, left.shape[1]), dtype=np.float32)
     columns[:, 0], columns[:, 1] = 1.0, place
+    place *= 2
     for order in range(2, LAST + 1):
-        columns[:, order] = 2 * place * columns[:, order - 1] - columns[:, order - 2]
-    factor = np.linalg.cholesky(columns @ columns.transpose(0, 2, 1) + NOTHING * np.eye(LAST + 1))
+        np.multiply(place, columns[:, order - 1], out=columns[:, order])
+        columns[:, order] -= columns[:, order - 2]
+    normal = (columns @ columns.transpose(0, 2, 1)).astype(np.float64)
+    factor = np.linalg.cholesky(normal + ROUNDED * left.shape[1] * np.eye(LAST + 1))
     # offset and amplitude are fitted
-    along = np.linalg.solve(factor, columns @ left[..., np.newaxis])[:, 2:, 0]
+    along = np.linalg.solve(factor, columns @ left.astype(np.float32)[..., np.newaxis])[:, 2:, 0]
     found, number = np.vecdot(along, along), along.shape[1]
     free = np.maximum(degrees - number, 1.0)
     variance = np.maximum(np.vecdot(left, left) - found, NOTHING) / free

@@ -103,10 +103,7 @@ def sampled_blocks(
 
 
 def _in_closed_form(series: Series, n_samples: int, precision: np.dtype[Any]) -> Samples:
-    outer, inner = record_grid(n_samples)
-    carrier = carrier_of(
-        phasors(series.omega, outer, precision), phasors(series.omega, inner, precision), n_samples
-    )
+    carrier = carrier_of(series.omega, n_samples, precision)
     first, ratio = (p.astype(carrier.dtype)[:, np.newaxis] for p in (series.first, series.ratio))
     beat = (first * carrier / (1 - ratio * carrier)).real
     return np.asarray(beat + series.offset.astype(precision)[:, np.newaxis])
@@ -132,10 +129,11 @@ def _sides(series: Series, n_samples: int, precision: np.dtype[Any], n_harmonics
     return left.view(precision), right
 
 
-def carrier_of(coarse: Phasors, fine: Phasors, n_samples: int) -> Phasors:
-    """exp(i w m) on the samples from its two short factors; (R, rows), (R, length) -> (R, N)."""
+def carrier_of(omega: Floats, n_samples: int, precision: np.dtype[Any]) -> Phasors:
+    """exp(i w m) on the samples, (R, N), from its two short factors."""
+    coarse, fine = (phasors(omega, index, precision) for index in record_grid(n_samples))
     product = coarse[:, :, np.newaxis] * fine[:, np.newaxis, :]
-    return np.asarray(product.reshape(len(coarse), -1)[:, :n_samples])
+    return np.asarray(product.reshape(len(coarse), coarse.shape[1] * fine.shape[1])[:, :n_samples])
 
 
 # --------------------
@@ -309,9 +307,7 @@ def _tangents(
     values: Samples, weights: Samples | None, series: Series, *, drifting: bool
 ) -> tuple[Samples, Samples]:
     """Derivatives (R, P, N), with `drifting` by growth of amplitude and ratio too, and what the model leaves."""
-    outer, inner = record_grid(values.shape[1])
-    coarse, fine = (phasors(series.omega, index, values.dtype) for index in (outer, inner))
-    carrier = carrier_of(coarse, fine, values.shape[1])
+    carrier = carrier_of(series.omega, values.shape[1], values.dtype)
     return tangents_along(carrier, values, weights, series, drifting=drifting)
 
 

@@ -4,19 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from itertools import product
-from typing import Any
 
 import numpy as np
 import scipy.linalg
 import scipy.special
 from numpy.polynomial import legendre
-from numpy.typing import NDArray
 
 from analysis.arrays import Bools, Complexes, Floats, Indices, Ints, Samples, Stacked
 from analysis.flags import Flag
 from analysis.waveform.frequency import never_alone
 from analysis.waveform.residuals import line_stands_out
-from analysis.waveform.series import Series, data_sums, phasors, step_by_samples, tangents_along
+from analysis.waveform.series import Series, carrier_of, data_sums, step_by_samples, tangents_along
 from analysis.waveform.smooth_phase import AT_ENDS, OTHERS, Paths, fit_smooth_phase, knots_of
 from analysis.waveform.trajectory import (
     HIGHEST,
@@ -585,8 +583,14 @@ ONE_SIDED, BANDS = 6.0, (2, 4, 8, 16)
 lines of both, or in all."""
 
 
-def may_be_motion(left: Floats, series: Series) -> Bools:
+Sidebands = tuple[Floats, Complexes, Complexes, Indices]
+"""Power of the noise in a line (R,), lines of what moves amplitude and phase of the fundamental (R, K), from the
+first on, and how many of these count (R,)."""
+
+
+def may_be_motion(left: Floats, series: Series, whole: Bools) -> tuple[Bools, Indices, Sidebands]:
     """Whether what fits at steady rates leave (R, N) is that of a moving phase, amplitude or baseline."""
+    # And of which `whole` records (R,) sidebands tell it, with these.
     # Distortion leaves harmonics, which no motion would mend. A wander of s rad wanders by k s at the k-th
     # harmonic, so its sidebands there have k^2 r^(2k-2) of the power of those about the fundamental; the ratio
     # found at a steady rate is too small, which the power 1.5 allows for. Noise of whatever colour moves phase and
@@ -619,16 +623,24 @@ def may_be_motion(left: Floats, series: Series) -> Bools:
     about = (inside > 0.5 * of_fundamental**1.5 * of_all) & (inside > 0)
     large = of_samples > LARGE * np.abs(series.first) ** 2 / 2 * n_samples
     ask = np.flatnonzero(open_ & ~steep & about & ~large)
-    has_direction = np.zeros(n_records, dtype=bool)
-    if ask.size:
-        has_direction[ask] = _have_direction(left[ask], series.take(ask), line[ask], floor[ask])
-    return np.asarray(open_ & (steep | (about & (large | has_direction))))
+    has_direction, sidebands = _have_direction(left[ask], series.take(ask), line[ask], floor[ask])
+    moves = open_ & (steep | (about & large))
+    moves[ask[has_direction]] = True
+    told = never_alone(np.flatnonzero(has_direction & whole[ask]))
+    floor, of_amplitude, of_phase, reach = sidebands
+    return moves, ask[told], (floor[told], of_amplitude[told], of_phase[told], reach[told])
 
 
-def _have_direction(left: Floats, series: Series, line: Floats, floor: Floats) -> Bools:
+def _have_direction(left: Floats, series: Series, line: Floats, floor: Floats) -> tuple[Bools, Sidebands]:
     """Whether residuals about the fundamental move its phase and its amplitude by different amounts."""
     n_samples = left.shape[1]
-    of_amplitude, of_phase, reach = _about_beat(left, series, line)
+    turned = np.fft.fft(left * np.conj(carrier_of(series.omega, n_samples, left.dtype)))
+    turned *= np.exp(-1j * np.angle(series.first))[:, np.newaxis]
+    number = np.arange(1, min(MOST_BESIDE, n_samples // 2 - 1) + 1)
+    above, below = turned[:, number], np.conj(turned[:, -number])
+    reach = np.maximum(BESIDE * line, 1.0).astype(np.intp)
+    inside = number <= reach[:, np.newaxis]
+    of_amplitude, of_phase = np.where(inside, above + below, 0.0), np.where(inside, (above - below) / 1j, 0.0)
     n_lines = of_phase.shape[1]
     found = np.zeros(len(left), dtype=bool)
     slow = legendre.legvander(np.linspace(-1, 1, n_samples), SLOW_TERMS - 1)
@@ -643,26 +655,7 @@ def _have_direction(left: Floats, series: Series, line: Floats, floor: Floats) -
             mean, half = (a[here] + p[here]) / 2, np.hypot((a[here] - p[here]) / 2, ap[here])
             least = np.maximum(mean - half, 2 * last * floor)
             found |= mean + half > (1 + ONE_SIDED / np.sqrt(last)) * least
-    return found
-
-
-def _about_beat(left: Floats, series: Series, line: Floats) -> tuple[Complexes, Complexes, Indices]:
-    """Lines of what moves amplitude and phase of the fundamental, (R, K) from the first on, and how many count."""
-    n_samples = left.shape[1]
-    turned = np.fft.fft(left * np.conj(_turns(series, n_samples)))
-    turned *= np.exp(-1j * np.angle(series.first))[:, np.newaxis]
-    number = np.arange(1, min(MOST_BESIDE, n_samples // 2 - 1) + 1)
-    above, below = turned[:, number], np.conj(turned[:, -number])
-    reach = np.maximum(BESIDE * line, 1.0).astype(np.intp)
-    inside = number <= reach[:, np.newaxis]
-    return np.where(inside, above + below, 0.0), np.where(inside, (above - below) / 1j, 0.0), reach
-
-
-def _turns(series: Series, n_samples: int) -> NDArray[np.complexfloating[Any, Any]]:
-    """exp(i w t) (R, N)."""
-    return phasors(
-        series.omega, np.arange(n_samples, dtype=np.float64) - (n_samples - 1) / 2, np.dtype(np.float64)
-    )
+    return found, (floor, of_amplitude, of_phase, reach)
 
 
 # --------------------
@@ -680,12 +673,11 @@ STEPS_AT_ONCE = 8  # records whose samples stay in the cache
 STEADY = 4.0  # standard deviations of noise by which the amplitude, or the upper lines, may differ from it
 
 
-def small_motions(values: Samples, left: Floats, series: Series) -> tuple[Indices, MovingFits]:
-    """Of whole records (R, N), of which steady fits leave something: those where that is enough; their fits."""
-    n_samples = left.shape[1]
+def small_motions(values: Samples, sidebands: Sidebands, series: Series) -> tuple[Indices, MovingFits]:
+    """Of whole records (R, N), of which steady fits leave sidebands: those where that is enough; their fits."""
+    n_samples = values.shape[1]
     line = series.omega * n_samples / (2 * np.pi)
-    floor = np.median(np.abs(np.fft.rfft(left)[:, 1:]) ** 2, axis=1) / np.log(2)
-    of_amplitude, of_phase, reach = _about_beat(left, series, line)
+    floor, of_amplitude, of_phase, reach = sidebands
     number, last = np.arange(1, of_phase.shape[1] + 1), np.minimum(reach, of_phase.shape[1])
     place = (np.arange(n_samples) - (n_samples - 1) / 2) / n_samples
     ramp = np.fft.fft(place)[number]
@@ -707,16 +699,18 @@ def small_motions(values: Samples, left: Floats, series: Series) -> tuple[Indice
     lines = np.zeros((rows.size, n_samples // 2 + 1), dtype=np.complex128)
     lines[:, number] = even[rows]
     phase = (np.fft.irfft(lines, n_samples) + jump[rows, np.newaxis] * place) / first[rows, np.newaxis]
-    step, inverse, rest = np.empty((rows.size, 6)), np.empty((rows.size, 6, 6)), np.empty(phase.shape)
+    phase = phase.astype(np.float32)
+    step, inverse, rest = np.empty((rows.size, 6)), np.empty((rows.size, 6, 6)), values[rows].astype(np.float32)
     for begin in range(0, rows.size, STEPS_AT_ONCE):
         few = slice(begin, begin + STEPS_AT_ONCE)
         some = series.take(rows[few])
-        along = _turns(some, n_samples) * np.exp(1j * phase[few])
-        tangents, rest[few] = tangents_along(along, values[rows[few]].astype(np.float64), None, some)
+        along = carrier_of(some.omega, n_samples, rest.dtype)
+        along *= np.cos(phase[few]) + np.complex64(1j) * np.sin(phase[few])
+        tangents, rest[few] = tangents_along(along, rest[few], None, some)
         step[few], inverse[few] = step_by_samples(tangents, rest[few]).solve_and_invert()
-        rest[few] -= (step[few, np.newaxis] @ tangents)[:, 0]
+        rest[few] -= (step[few, np.newaxis].astype(np.float32) @ tangents)[:, 0]
     degrees = np.asarray(n_samples - 6.0 - 2.0 * reach[rows], dtype=np.float64)
-    variance = np.vecdot(rest, rest) / degrees
+    variance = np.vecdot(rest, rest).astype(np.float64) / degrees
     nothing, wander = np.zeros(rows.size), np.full(rows.size, int(Flag.RATE_WANDER), dtype=np.int64)
     return rows, MovingFits(
         series.take(rows).moved(step, n_samples), inverse * variance[:, np.newaxis, np.newaxis], variance, degrees,

@@ -113,14 +113,14 @@ def _basis(n_samples: int, knots: int) -> _Basis:
 
 
 @lru_cache(maxsize=256)
-def _roughness(n_path: int, order: int) -> tuple[Floats, float]:
-    """Squared differences of an order as a band (5, n), and the logarithm of their determinant."""
+def _roughness(n_path: int, order: int) -> tuple[Floats, float, Floats]:
+    """Squared differences of an order as a band (5, n), the logarithm of their determinant, and what makes them."""
     rows = np.diff(np.eye(n_path), order, axis=0)
     square = rows.T @ rows
     band = np.zeros((5, n_path))
     for k in range(order + 1):
         band[k, : n_path - k] = np.diagonal(square, k)
-    return band, float(np.linalg.slogdet(rows @ rows.T)[1])
+    return band, float(np.linalg.slogdet(rows @ rows.T)[1]), rows
 
 
 def knots_of(periods: Floats) -> Ints:
@@ -629,14 +629,12 @@ def _solved(
     """Solve the smoothed equations; `more` (R, n, k): right sides whose solutions by the path alone are wanted."""
     n_records, n, p = equations.cross.shape
     band, side, cost = equations.band.copy(), equations.path_side.copy(), equations.power.copy()
-    for number in np.unique(order):
-        rows, (square, _) = np.flatnonzero(order == number), _roughness(n, int(number))
+    for number in set(order.tolist()):
+        rows, (square, _, differences) = np.flatnonzero(order == number), _roughness(n, number)
         band[rows] += weight[rows, np.newaxis, np.newaxis] * square
-        rough = np.diff(path[rows], int(number), axis=1)
+        rough = _each(path[rows], differences.T)
         cost[rows] += weight[rows] * np.vecdot(rough, rough)
-        for _ in range(number):
-            rough = -np.diff(rough, axis=1, prepend=0.0, append=0.0)
-        side[rows] -= weight[rows, np.newaxis] * rough
+        side[rows] -= weight[rows, np.newaxis] * _each(rough, differences)
     band[:, 0] += RIDGE * equations.band[:, 0].mean(axis=1)[:, np.newaxis]
     sides = [equations.cross, side[..., np.newaxis], *([] if more is None else [more])]
     right = np.concatenate(sides, axis=2)

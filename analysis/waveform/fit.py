@@ -39,6 +39,8 @@ from analysis.waveform.residuals import (
 from analysis.waveform.series import Series, drift_by_samples, sampled_series
 from analysis.waveform.series_fit import PLAIN_RATIO, SeriesFit, Task, fit_series, fit_series_again, gauss_newton
 from analysis.waveform.varying_rate import (
+    FASTEST,
+    FirstPhase,
     MovingFits,
     first_phase,
     fit_moving_rate,
@@ -385,10 +387,11 @@ def _followed(
             continue
         values, mask = records.values[some].astype(np.float64), masks.of_all(some).astype(np.float64)
         undone, tried, phase = np.ones(some.size, dtype=bool), np.arange(some.size), None
+        seen = dict[int, FirstPhase | None]()
         for by_crests in (False, True):
             if by_crests:  # a motion so wide that the fundamental has no band of its own is read from them
                 seen = {place: first_phase(values[place], mask[place]) for place in tried.tolist()}
-                crests = {place: found.phase for place, found in seen.items() if found}
+                crests = {place: found.phase for place, found in seen.items() if found and found.fast < FASTEST}
                 tried = never_alone(np.array(list(crests), dtype=np.intp))
                 phase = np.array([crests[place] for place in tried.tolist()])
             if not tried.size:
@@ -408,13 +411,14 @@ def _followed(
             undone[tried[done]] = False
             # one that fits and is too quick for it has been read well enough
             tried = np.unique(tried[failed | coloured])
-        some, values, mask = some[undone], values[undone], mask[undone]
         fits: dict[bytes, MovingFits | None] = {}  # a record that is alone stands here twice
-        for place in np.unique(some, return_index=True)[1]:
+        for place in np.flatnonzero(undone)[np.unique(some[undone], return_index=True)[1]].tolist():
             row, key = some[[place]], values[place].tobytes() + mask[place].tobytes()
             if not records.exact[row[0]]:
                 continue
-            exactly = fits[key] = fits[key] if key in fits else fit_moving_rate(values[place], mask[place])
+            if key not in fits:
+                fits[key] = fit_moving_rate(values[place], mask[place], seen.get(place))
+            exactly = fits[key]
             if exactly is None or exactly.variance[0] > WORTH_MOVING * variance[row[0]]:
                 continue
             again = left_by_motion(row, exactly)

@@ -114,7 +114,7 @@ def _basis(n_samples: int, knots: int) -> _Basis:
 
 @lru_cache(maxsize=256)
 def _roughness(n_path: int, order: int) -> tuple[Floats, float, Floats]:
-    """Squared differences of an order as a band (5, n), the logarithm of their determinant, and what makes them."""
+    """Squared differences of an order as a band (5, n), their log determinant, and what makes them."""
     rows = np.diff(np.eye(n_path), order, axis=0)
     square = rows.T @ rows
     band = np.zeros((5, n_path))

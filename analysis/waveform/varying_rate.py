@@ -41,6 +41,9 @@ ROOM, ROOM_AT_LEAST = 1.25, 2
 """So many more polynomials of the rate are kept than the criterion asks for: it is content with a fault as large
 as the noise."""
 
+LOST = 0.02
+"""Share of the samples at which a phase that is still free hardly moves: the gyro was locked, or the beat away."""
+
 FREE, LOOSE, TIGHT, EXACT = 1.0, 1e-2, 1e-6, 1e-8
 """Looseness times the squared amplitude, in turn. Over 2500 samples the last one moves the phase by a thousandth
 of what the noise leaves unknown."""
@@ -103,9 +106,9 @@ class MovingFits(Stacked):
     stepped_u: Floats
 
 
-def fit_moving_rate(values: Floats, mask: Floats) -> MovingFits | None:
-    """Fit one record by the exact equation, whatever its rate does."""
-    if (seen := first_phase(values, mask)) is None:
+def fit_moving_rate(values: Floats, mask: Floats, seen: FirstPhase | None = None) -> MovingFits | None:
+    """Fit one record by the exact equation, whatever its rate does; `seen`: where that is known already."""
+    if seen is None and (seen := first_phase(values, mask)) is None:
         return None
     # so many samples stand for each other that enough means are left of a turn, and of the samples beside gaps
     quarter = max(int(mask.size * np.pi / 2 / np.ptp(seen.phase)), 1)
@@ -135,7 +138,10 @@ def fit_moving_rate(values: Floats, mask: Floats) -> MovingFits | None:
 def _fitted(record: SampledRecord, seen: FirstPhase) -> tuple[Fitted, Terms, bool]:
     """The fit, the terms that the data ask for, and whether the rate is noisy."""
     scale = (float(np.mean(seen.amplitude)) / record.of) ** 2
-    free, loose = _roughly(SampledRecord(record.samples, record.valid * seen.trusted, record.of), seen, scale)
+    free, *rest = _roughly(SampledRecord(record.samples, record.valid * seen.trusted, record.of), seen, scale)
+    if not rest:
+        return free, free.trajectory.terms, False
+    loose = rest[0]
     if seen.step is not None:  # it goes to the sample where the record says it is
         inside = np.flatnonzero(~seen.trusted)
         height = float(loose.trajectory.parameters[-1])
@@ -168,6 +174,7 @@ def _fitted(record: SampledRecord, seen: FirstPhase) -> tuple[Fitted, Terms, boo
 
 def _roughly(record: SampledRecord, seen: FirstPhase, scale: float) -> list[Fitted]:
     """The phases followed wherever they go, then the motion that they show, and once more from there."""
+    # a gyro that does not turn for a while ends it: `as_beats` says misfit
     slow = Terms(0, SLOW_TERMS, SLOW_TERMS, seen.step)
     of_amplitude, of_offset = record.columns(slow)
     seen_by_sample = np.stack([seen.phase, seen.amplitude, seen.offset])
@@ -185,8 +192,11 @@ def _roughly(record: SampledRecord, seen: FirstPhase, scale: float) -> list[Fitt
         parameters = np.concatenate([rate, pull, amplitude, offset])
         start = Trajectory(phase, parameters, replace(slow, rate=rate.size))
         fitted = record.fit(start, looseness / scale, ITERATIONS if seen.step is None else TO_A_STEP, ROUGHLY)
-        phase, (_, _, amplitude, offset) = fitted.trajectory.phase, fitted.trajectory.parts
+        phase, (rate, pull, amplitude, offset) = fitted.trajectory.phase, fitted.trajectory.parts
         fits.append(fitted)
+        rates = rate @ polynomials(phase.size).values[: rate.size]
+        if np.mean(rates < np.hypot(*pull) / 2) > LOST:
+            break
     return fits
 
 
@@ -458,6 +468,15 @@ class FirstPhase:
     offset: Floats
     trusted: Bools  # (N,) samples at which the step, if there is one, leaves no doubt about the phase
     step: int | None  # number of the first sample behind a step of the offset, or None
+
+    @property
+    def fast(self) -> float:
+        """Largest change of the rate in a radian of the beat, over the rate, between knots of a path."""
+        count = int(knots_of(np.array([np.ptp(self.phase) / (2 * np.pi)]))[0])
+        each = max(self.phase.size // count, 1)
+        path = self.phase[: self.phase.size // each * each].reshape(-1, each).mean(axis=1)
+        slopes = np.maximum((path[2:] - path[:-2]) / 2, 1e-5)
+        return float(np.max(np.abs(np.diff(path, 2)) / slopes**2, initial=0.0))
 
 
 def first_phase(values: Floats, mask: Floats) -> FirstPhase | None:

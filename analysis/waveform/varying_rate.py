@@ -81,6 +81,10 @@ FEW_PERIODS, SLOWED = 10.0, 0.35
 """With fewer periods than that a rate that falls below this share of its mean is doubtful too: a gyro that comes
 to rest leaves too little of a beat to show it."""
 
+BELOW, FEWEST_TURNS = 0.5, 1.0
+"""Share of the mean rate below which a noisy rate that falls to `SLOWED` is slow, and turns of the beat meanwhile:
+with fewer a gyro that came to rest there, or turned round, would look the same."""
+
 WEAKEST = 0.3  # the same for the amplitude, over its largest: a beam that is weaker than that was not drifting
 
 
@@ -130,6 +134,8 @@ def fit_moving_rate(values: Floats, mask: Floats, seen: FirstPhase | None = None
                 silent = fitted.variance * record.of < (SILENT * float(np.mean(seen.amplitude))) ** 2
                 walk = np.sqrt([fitted.looseness * fitted.variance * record.values.size])
                 fits = replace(fits, walk=walk, vibrates=np.array([silent or line_stands_out(of_steps, CHANCE)]))
+                if _may_have_turned_round(fitted):
+                    fits.flags[0] |= int(Flag.PARTS_DIFFER)
             return fits if fits.believed[0] else None
     except np.linalg.LinAlgError:
         return None
@@ -237,6 +243,16 @@ def smooth_motions(values: Floats, mask: Floats, phase: Floats | None = None) ->
         moved = as_beats(paths)
         smooth = moved.believed & enough & (paths.fast < np.where(near, UNHURRIED, FASTEST))
     return moved, smooth
+
+
+def _may_have_turned_round(fitted: Fitted) -> bool:
+    """Whether the beat hardly turns while the rate falls and rises again."""
+    by_rate = fitted.trajectory.parts[0]
+    rates = by_rate @ polynomials(fitted.trajectory.phase.size).values[: by_rate.size]
+    mean = float(rates.mean())
+    ends = np.flatnonzero(np.diff(rates < BELOW * mean, prepend=False, append=False)).reshape(-1, 2)
+    slow = (rates[start:stop] for start, stop in ends)
+    return any(part.min() < SLOWED * mean and part.sum() < 2 * np.pi * FEWEST_TURNS for part in slow)
 
 
 def _louder_at_beat(fitted: Fitted) -> Floats:

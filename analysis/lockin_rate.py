@@ -16,7 +16,7 @@ from analysis.arrays import Bools, Complexes, Floats, Indices, Ints, Stacked
 from analysis.flags import FATAL, Flag, flag_names
 from analysis.lockin_equation import Relation, input_rate_from_beat, lock_in_from_beat, lock_in_from_rate
 from analysis.waveform.converter import of_few_levels
-from analysis.waveform.fit import WaveformFit, fit_waveform, third_harmonic
+from analysis.waveform.fit import WaveformFit, fit_waveform
 from analysis.waveform.frequency import NanPolicy, Stack, as_stack, never_alone
 
 WHITE = "white noise of the size that the fit leaves, in each record"
@@ -103,7 +103,7 @@ def estimate_lock_in(
             mains_hz=mains_hz,
         )[0].reshaped(*stack.shape)
     fit = fit_waveform(stack, mask)
-    third, third_u = third_harmonic(fit, stack.n_samples)
+    third, third_u = _third_harmonic(fit, stack.n_samples)
     with np.errstate(all="ignore"):  # records without a beat divide by zero; their flags are fatal
         beat = Beat.of(fit, stack.n_samples, sample_interval)
         beat, flags = compare_pieces(beat, fit, stack, mask, sample_interval)
@@ -720,3 +720,33 @@ def _rice(observed: Floats, true: Floats) -> Floats:
     return np.asarray(
         observed * np.exp(-((observed - true) ** 2) / 2) * scipy.special.i0e(observed * true), dtype=np.float64
     )
+
+
+# --------------------
+# What the lock-in waveform leaves at three times the beat: third-order distortion shows itself there.
+#
+# s + k s^3 of the signal s = A sin(psi) is (1 + 3h) s - h A sin(3 psi), h = k A^2/4. The geometric series that
+# fits it best has another ratio than the beat, which no ratio shows; what no geometric series can take up is, at
+# the third harmonic, h A times a number that follows from r alone (`analysis.several_rates.ratio_model`)
+
+
+ORDER = 3
+
+NOT_KNOWN = int(FATAL | Flag.CLIPPED | Flag.DAMAGED | Flag.RATE_WANDER | Flag.ROUNDING_REPEATS)
+"""Records in which other things leave something at the third harmonic."""
+
+SMALLEST = 1e-4  # least uncertainty, -80 dBc: rounding to levels leaves that much in quiet records
+
+
+def _third_harmonic(fit: WaveformFit, n_samples: int) -> tuple[Complexes, Floats]:
+    """Third harmonic beyond the waveform that was fitted, over the amplitude of the beat, of (R,) records."""
+    # Its phase is referred to three times that of the fundamental, so that the time origin does not enter.
+    series = fit.series
+    with np.errstate(all="ignore"):  # records without a beat; they are blanked
+        unit = series.first / np.abs(series.first)
+        amplitude = np.abs(series.first) / (1 - np.abs(series.ratio) ** 2)
+        excess = fit.third * np.conj(unit) ** ORDER / amplitude
+        noise = fit.noise_rms * np.sqrt(2 / n_samples * fit.excess[:, 1]) / amplitude
+    known = ((fit.flags & NOT_KNOWN) == 0) & np.isfinite(excess) & np.isfinite(noise)
+    known &= ORDER * series.omega < np.pi
+    return np.where(known, excess, 0.0), np.where(known, np.hypot(noise, SMALLEST), np.inf)

@@ -19,6 +19,7 @@ from analysis.budget import (
     BudgetInput,
     Distribution,
     OperatingPoint,
+    Reference as RateReference,
     ResponseCorner,
     TableGeometry,
     bounded,
@@ -27,7 +28,6 @@ from analysis.budget import (
     separated_input,
     stated_inputs,
 )
-from analysis.budget import Reference as RateReference
 from analysis.channel import ChannelResponse
 from analysis.combine import as_at_one_rate, combine_estimates, without_copies
 from analysis.flags import FATAL, Flag

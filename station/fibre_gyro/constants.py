@@ -15,8 +15,7 @@ from station.errors import CannotWrite, UsageError
 from station.fibre_gyro.selfcal import numbers_of
 from station.fibre_gyro.settings import FIBRE_GYRO, FogSettings
 from station.fibre_gyro.table_result import AxisResult, find_axes
-from station.fibre_gyro.temperature import compensation_of
-from station.fibre_gyro.temperature import evaluate as evaluate_temperature
+from station.fibre_gyro.temperature import compensation_of, evaluate as evaluate_temperature
 from station.results.result import TextTable, plain, ppm, with_uncertainty
 from station.runs.store import SavedRun, open_run
 from station.settings import saved_settings

@@ -58,11 +58,14 @@ from station.fibre_gyro.segments import (
     window_at_rest,
 )
 from station.fibre_gyro.settings import FIBRE_GYRO, FogSettings
-from station.fibre_gyro.table import axis_table
-from station.fibre_gyro.table import plan as plan_table
-from station.fibre_gyro.table_result import PURPOSE as TABLE
-from station.fibre_gyro.table_result import AxisResult, TableEvaluation, find_axes
-from station.fibre_gyro.table_result import to_watch as to_watch_of_table
+from station.fibre_gyro.table import axis_table, plan as plan_table
+from station.fibre_gyro.table_result import (
+    PURPOSE as TABLE,
+    AxisResult,
+    TableEvaluation,
+    find_axes,
+    to_watch as to_watch_of_table,
+)
 from station.report.figure import ACCENT, HALF, SECOND, SOFT, legend_above, svg_element
 from station.results.quantity import Quantity, QuantityGroup, document, rows
 from station.results.result import (

@@ -11,8 +11,7 @@ import numpy as np
 
 from analysis import LockInEstimate
 from instrument import Preamble, Waveform
-from station.datasets.data_set import Exported, check_target, names_of, whole
-from station.datasets.data_set import export as write
+from station.datasets.data_set import Exported, check_target, export as write, names_of, whole
 from station.errors import EXIT_NO_SIGNAL, Failure, NoUsableSignal, UsageError
 from station.fibre_gyro.segments import segments_of
 from station.live.events import Progress
@@ -21,8 +20,7 @@ from station.notebook.result import Record, Result, RunRecords
 from station.reanalysis.combine import AnalyzedFiles, analyze_file, combine
 from station.ring_laser.records import saved_waveform
 from station.runs.annotations import Remarks, add_remark, read_remarks
-from station.runs.store import SavedRecord, SavedRun
-from station.runs.store import open_run as read_run
+from station.runs.store import SavedRecord, SavedRun, open_run as read_run
 from station.shell.finish import Evaluated, evaluate_run, kind_of
 from station.sources import Source, find_sources, open_source
 from station.sources.batches import check_over_time

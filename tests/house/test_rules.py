@@ -136,9 +136,10 @@ def test_a_file_is_a_chapter(folder: str) -> None:
 def test_the_house_can_be_taken_in() -> None:
     """Files, lines and classes of the product; a ceiling is lowered by whoever gets below it, never raised."""
     every = {name: count for folder in PACKAGES for name, count in lines(folder).items()}
+    stubs = [path.read_text(encoding="utf-8") for folder in PACKAGES for path in (ROOT / folder).rglob("*.pyi")]
     classes = [node for tree in ours().values() for node in ast.walk(tree) if isinstance(node, ast.ClassDef)]
     assert len(every) <= 258
-    assert sum(every.values()) <= 83_400
+    assert sum(every.values()) + "".join(stubs).count("\n") <= 83_304
     assert len(classes) <= 731
 
 

@@ -5,8 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from instrument import FileFormatError, Preamble, Waveform, read_waveform
 from instrument.tek_files import csv_text, parse_csv, parse_isf, read_tek_file

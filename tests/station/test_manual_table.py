@@ -13,8 +13,7 @@ import pytest
 
 from instrument import ManualRateTable
 from instrument.simulated import VirtualClock
-from station.dead_band.take import DEAD_BAND
-from station.dead_band.take import take_on as sweep_on
+from station.dead_band.take import DEAD_BAND, take_on as sweep_on
 from station.errors import UsageError
 from station.live.events import Progress
 from station.lock_in.settings import load_settings

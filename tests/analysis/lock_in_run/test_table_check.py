@@ -7,8 +7,7 @@ import pytest
 from array_bench import KNOWN, LATITUDE, TILT, WL, Gyro, K, records, table_rate_for, together
 
 from analysis import Flag
-from analysis.budget import NOTHING_BUT_RECORDS as PERFECT
-from analysis.budget import BenchKnowledge
+from analysis.budget import NOTHING_BUT_RECORDS as PERFECT, BenchKnowledge
 from analysis.lock_in_run import Method, RunArrays, evaluate
 
 ONE = [0.08] * 8

@@ -8,8 +8,7 @@ import zlib
 
 import numpy as np
 import pytest
-from hypothesis import example, given
-from hypothesis import strategies as st
+from hypothesis import example, given, strategies as st
 
 from instrument.fibre_gyro import parse_frame_format
 from instrument.fibre_gyro.frame_stream import Answer, Damage, FrameStream

@@ -8,8 +8,7 @@ import pytest
 
 from analysis.fibre_gyro import fit_noise
 from instrument import FileFormatError
-from instrument.fibre_gyro import logs as module
-from instrument.fibre_gyro import read_log
+from instrument.fibre_gyro import logs as module, read_log
 
 HERTZ, ROWS = 1000.0, 150_000
 

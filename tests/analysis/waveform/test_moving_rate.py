@@ -339,3 +339,20 @@ def test_a_step_of_the_baseline_is_found_beside_clipped_samples(seed: int, clipp
     mask = (codes < codes.max() - clipped).astype(float)
     fit = fit_moving_rate(codes - codes.mean(), mask)
     assert fit is not None and float(fit.variance[0]) < 1.3 * (0.6**2 + 1 / 12)
+
+
+@pytest.mark.parametrize(("over", "periods", "cycles"), [(3.6, 31.0, 2.1), (10.2, 77.0, 2.6)])
+def test_a_gyro_that_turns_round_is_no_noisy_rate(over: float, periods: float, cycles: float) -> None:
+    """Its beat looks like one that always turns the same way, slower for a while, with noise of its own."""
+    rng = np.random.default_rng(76)
+    n = 1000
+    k = periods / n / np.sqrt(1 - over**-2)
+    rates = np.cos(2 * np.pi * cycles * np.linspace(0, 1, n - 1)) * np.ones((16, 1))
+    phases = rng.uniform(0, 2 * np.pi, 16)
+    volts = rate_varying_beat(
+        rates, 1.0, scale_factor=k, lock_in_rate=1 / over, initial_phase=phases, backscatter_phase=0.6
+    )
+    codes = np.rint(90 * volts + rng.normal(scale=1.0, size=volts.shape))
+    e = estimate_lock_in(codes, 1.0, scale_factor=k)
+    wrong = np.abs(e.lock_in_rate - 1 / over) > 4 * e.lock_in_rate_u
+    assert not np.any(wrong & ((e.flags & int(DOUBTFUL)) == 0))

@@ -55,11 +55,16 @@ class TrajectorySteps:
     by_rate: Floats
     by_sine: Floats
     by_cosine: Floats
+    sine: Floats  # (N,) of the phases
+    cosine: Floats
 
 
 def exact_steps(phase: Floats, mean_rate: Floats, rate: Floats, sine: float, cosine: float) -> TrajectorySteps:
     """Steps from the first N - 1 of N phases."""
-    n0, d0 = np.sin(phase[:-1] / 2), np.cos(phase[:-1] / 2)
+    half = phase / 2
+    n, d = np.sin(half), np.cos(half)
+    sin, cos = 2 * n * d, (d - n) * (d + n)
+    n0, d0 = n[:-1], d[:-1]
     turn = (rate[1:] - rate[:-1]) / 12
     s, c = sine - turn * cosine, cosine + turn * sine
     square = (mean_rate**2 - s**2 - c**2) / 4
@@ -75,18 +80,18 @@ def exact_steps(phase: Floats, mean_rate: Floats, rate: Floats, sine: float, cos
     # The matrix has determinant 1, so the square of the length says how neighbouring phases spread.
     by_phase = 1 / (n1 * n1 + d1 * d1)
 
-    def edge(sin: Floats, cos: Floats, rate: Floats) -> tuple[Floats, Floats]:
-        # what a change of a, s and c adds to the phase, and the slope of that as seen at the end of the step
-        pull = sine * cos + cosine * sin
-        speed = rate - sine * sin + cosine * cos
-        slopes = np.stack([pull, -cos * speed - sin * pull, -sin * speed + cos * pull])
-        return np.stack([np.ones_like(sin), -sin, cos]), slopes
+    def slopes(sin: Floats, cos: Floats, rate: Floats) -> tuple[Floats, Floats, Floats]:
+        # of what changes of a, s and c add to the phase: 1, -sin and cos, as seen at the end of the step
+        pull, speed = sine * cos + cosine * sin, rate - sine * sin + cosine * cos
+        return pull, -cos * speed - sin * pull, cos * pull - sin * speed
 
-    at_start, slope_at_start = edge(2 * n0 * d0, (d0 - n0) * (d0 + n0), rate[:-1])
-    at_end, slope_at_end = edge(2 * n1 * d1 * by_phase, (d1 - n1) * (d1 + n1) * by_phase, rate[1:])
+    sin1, cos1 = 2 * n1 * d1 * by_phase, (d1 - n1) * (d1 + n1) * by_phase
+    added = by_phase + 1, -sin[:-1] * by_phase - sin1, cos[:-1] * by_phase + cos1
+    pairs = zip(added, slopes(sin[:-1], cos[:-1], rate[:-1]), slopes(sin1, cos1, rate[1:]), strict=True)
     # Hermite's rule: exact for cubics
-    added = (at_start * by_phase + at_end) / 2 + (slope_at_start * by_phase - slope_at_end) / 12
-    return TrajectorySteps(2 * np.arctan2(n1 * d0 - d1 * n0, d1 * d0 + n1 * n0), by_phase, *added)
+    by_rate, by_sine, by_cosine = (both / 2 + (first * by_phase - last) / 12 for both, first, last in pairs)
+    advance = 2 * np.arctan2(n1 * d0 - d1 * n0, d1 * d0 + n1 * n0)
+    return TrajectorySteps(advance, by_phase, by_rate, by_sine, by_cosine, sin, cos)
 
 
 DERIVATIVES = np.array([[-1, 7, 7, -1], [-1, 15, -15, 1]]) / 12
@@ -106,7 +111,7 @@ def unit_diagonal(normal: Floats) -> tuple[Floats, Floats]:
     """A normal matrix with a diagonal of one and a ridge against rounding, and the scale (P,) that gives it."""
     scale = 1 / np.sqrt(np.maximum(np.diagonal(normal), 1e-300))
     scaled = normal * scale * scale[:, np.newaxis]
-    scaled[np.diag_indices_from(scaled)] += RIDGE
+    scaled.flat[:: len(scaled) + 1] += RIDGE
     return scaled, scale
 
 
@@ -206,6 +211,7 @@ class SampledRecord:
         self.samples, self.valid, self.count, self.of = samples, mask, float(mask.sum()), of
         self.values, self.mask = samples.reshape(-1, of).mean(axis=1), mask.reshape(-1, of).min(axis=1)
         self._bend = (1 - of**-2.0) / 24  # a mean is off by so much of the second derivative
+        self._around = np.clip(np.arange(-2, self.values.size + 1), 0, self.values.size - 2)  # with two more
         self._room = np.empty((3, 0, self.values.size))
 
     def room(self, rows: int) -> Floats:
@@ -283,13 +289,13 @@ class SampledRecord:
         of_amplitude, of_offset = self.columns(trajectory.terms)
         rate, (s, c), amplitude, offset = trajectory.parts
         height, low = amplitude @ of_amplitude, polynomials(self.values.size)
-        sine, cosine = np.sin(trajectory.phase), np.cos(trajectory.phase)
         steps = exact_steps(trajectory.phase, rate @ low.means[: rate.size], rate @ low.values[: rate.size], s, c)
+        sine, cosine = steps.sine, steps.cosine
         by_phase = height * cosine * self.mask
         if self._bend:
-            advance = np.pad(steps.advance, 2, mode="edge")
+            advance = steps.advance[self._around]
             slope, curve = (np.convolve(advance, weights, mode="valid") for weights in DERIVATIVES)
-            sine += self._bend * (cosine * curve - sine * slope**2)
+            sine = sine + self._bend * (cosine * curve - sine * slope**2)
         left = (self.values - offset @ of_offset - height * sine) * self.mask
         return TrajectoryModel(
             left,
@@ -341,7 +347,8 @@ class _Equations:
         np.multiply(model.by_sample, model.by_phase, out=sides[n_moved:])
         # with K = L D L' the product sides K^-1 sides' is a square
         np.copyto(half, sides)
-        lower = np.stack([np.ones(factor.size), np.append(ratios, 0.0)])
+        lower = np.ones((2, factor.size))
+        lower[1, :-1] = ratios
         lapack.dtbtrs(lower, half.T, uplo="L", diag="U", overwrite_b=True)
         half /= np.sqrt(factor)
         normal -= half @ half.T

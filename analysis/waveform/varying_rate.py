@@ -247,12 +247,12 @@ def smooth_motions(values: Floats, mask: Floats, phase: Floats | None = None) ->
 
 def _may_have_turned_round(fitted: Fitted) -> bool:
     """Whether the beat hardly turns while the rate falls and rises again."""
-    by_rate = fitted.trajectory.parts[0]
-    rates = by_rate @ polynomials(fitted.trajectory.phase.size).values[: by_rate.size]
-    mean = float(rates.mean())
-    ends = np.flatnonzero(np.diff(rates < BELOW * mean, prepend=False, append=False)).reshape(-1, 2)
-    slow = (rates[start:stop] for start, stop in ends)
-    return any(part.min() < SLOWED * mean and part.sum() < 2 * np.pi * FEWEST_TURNS for part in slow)
+    by_rate, count = fitted.trajectory.parts[0], fitted.trajectory.phase.size
+    known = slice(unknown := int(AT_ENDS * count), count - unknown)
+    rates = by_rate @ polynomials(count).values[: by_rate.size, known]
+    edges = np.flatnonzero(np.diff(rates < BELOW * by_rate[0], prepend=False, append=False)).reshape(-1, 2)
+    slow = (rates[start:stop] for start, stop in edges)
+    return any(part.min() < SLOWED * by_rate[0] and part.sum() < 2 * np.pi * FEWEST_TURNS for part in slow)
 
 
 def _louder_at_beat(fitted: Fitted) -> Floats:
@@ -461,6 +461,7 @@ def matched_motion(phase: Floats, weights: Floats, terms: int) -> tuple[Floats, 
 
 SWUNG = 0.25  # share of the amplitude by which the signal must cross its middle to begin the next half period
 REACHED = 0.9  # share of the amplitude from which on the first and the last extreme of a record count as a crest
+SQUARE = 0.95  # share of the samples that no beat has beyond that: all of them are clipped
 QUIET = 0.06  # noise over amplitude at which crests are found without smoothing
 KEPT_LINES = 3  # smoothing keeps at least so many times the frequency of the strongest line
 
@@ -514,6 +515,8 @@ def first_phase(values: Floats, mask: Floats) -> FirstPhase | None:
     if np.any(amplitude <= 0):
         return None
     level = np.clip((smooth - offset) / amplitude, -1.0, 1.0)
+    if np.mean(np.abs(level[valid]) > REACHED) > SQUARE:
+        return None
     passed = crests.copy()
     reached = np.abs(level[crests]) > REACHED
     if passed[0] == 0 or not reached[0]:

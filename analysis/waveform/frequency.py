@@ -201,18 +201,64 @@ def are_all(rows: Indices, n_records: int) -> bool:
 
 
 @dataclass(frozen=True)
-class Records(Stacked):
-    """Some records of a stack, ready to be fitted."""
+class _Centred(Stacked):
+    """What passes over the samples of some records find."""
 
     values: Samples  # (R, N) volts less `centre`, 0 where missing
-    weights: Samples | None  # (R, N) 1 or 0 in the same precision, or None where nothing is missing
     centre: Floats  # (R,) volts
     count: Floats  # (R,) of valid samples
-    constant: Bools  # (R,) all valid samples equal, or none valid
     lowest: Samples  # (R,) of `values`
     highest: Samples
     at_lowest: Counts  # (R,) how many of one in `THINNING` samples have that value
     at_highest: Counts
+
+    @staticmethod
+    def of(raw: Samples, missing: Bools | None, precision: np.dtype[Any]) -> _Centred:
+        n_records, n_samples = raw.shape
+        ends: Samples = np.empty((2, n_records), dtype=precision)
+        at_ends: Counts = np.empty((2, n_records), dtype=np.uint32)
+        count = np.full(n_records, float(n_samples))
+        if missing is not None:
+            count -= missing.sum(axis=-1)
+        found = _Centred(np.empty(raw.shape, dtype=precision), np.empty(n_records), count, *ends, *at_ends)
+        ones, places = np.ones(n_samples), _some_places(n_samples)
+        at_once = records_at_once(n_samples, raw.dtype)
+        for start in range(0, n_records, at_once):
+            here = slice(start, start + at_once)
+            some, block = raw[here], found.values[here]
+            if missing is not None:
+                some = np.where(missing[here], raw.dtype.type(0), some)
+            with np.errstate(over="ignore", invalid="ignore"):  # infinite: the caller's concern
+                mean = np.vecdot(some, ones) / np.maximum(count[here], 1)
+                block[...] = some
+                block -= mean[:, np.newaxis].astype(precision)
+            if missing is not None:
+                block[missing[here]] = 0.0
+            found.centre[here], ends[0, here], ends[1, here] = mean, block.min(axis=-1), block.max(axis=-1)
+            few = block.take(places, axis=1)
+            low, high = few <= ends[0, here, np.newaxis], few >= ends[1, here, np.newaxis]
+            # several times faster than counting booleans
+            at_ends[0, here] = low.view(np.uint8).sum(axis=-1, dtype=np.uint32)
+            at_ends[1, here] = high.view(np.uint8).sum(axis=-1, dtype=np.uint32)
+        if precision == np.float32:
+            # Where the mean is large beside the swing, single precision must begin after the subtraction.
+            size, swing = np.abs(found.centre), ends[1] - ends[0]
+            lifted = np.flatnonzero(np.isfinite(size) & ~(size < LIFTED * swing))
+            if lifted.size:
+                absent = None if missing is None else missing[lifted]
+                again = _Centred.of(raw[lifted], absent, np.dtype(np.float64))
+                with np.errstate(over="ignore"):  # beyond single precision: such records are fitted in double
+                    for name, fine in vars(again).items():
+                        getattr(found, name)[lifted] = fine
+        return found
+
+
+@dataclass(frozen=True)
+class Records(_Centred):
+    """Some records of a stack, ready to be fitted."""
+
+    weights: Samples | None  # (R, N) 1 or 0 in the precision of `values`, or None where nothing is missing
+    constant: Bools  # (R,) all valid samples equal, or none valid
     exact: Bools  # (R,) whether the exact fit is worth its time where the rate moves
 
     def groups(self) -> Iterator[tuple[Indices, Records]]:
@@ -279,59 +325,6 @@ class Stack:
         constant |= centred.count < 1
         exact = np.full(len(raw), self.exact)
         return Records(weights=weights, constant=constant, exact=exact, **vars(centred))
-
-
-@dataclass(frozen=True)
-class _Centred:
-    """The part of `Records` that is found in passes over the samples."""
-
-    values: Samples
-    centre: Floats
-    count: Floats
-    lowest: Samples
-    highest: Samples
-    at_lowest: Counts
-    at_highest: Counts
-
-    @staticmethod
-    def of(raw: Samples, missing: Bools | None, precision: np.dtype[Any]) -> _Centred:
-        n_records, n_samples = raw.shape
-        ends: Samples = np.empty((2, n_records), dtype=precision)
-        at_ends: Counts = np.empty((2, n_records), dtype=np.uint32)
-        count = np.full(n_records, float(n_samples))
-        if missing is not None:
-            count -= missing.sum(axis=-1)
-        found = _Centred(np.empty(raw.shape, dtype=precision), np.empty(n_records), count, *ends, *at_ends)
-        ones, places = np.ones(n_samples), _some_places(n_samples)
-        at_once = records_at_once(n_samples, raw.dtype)
-        for start in range(0, n_records, at_once):
-            here = slice(start, start + at_once)
-            some, block = raw[here], found.values[here]
-            if missing is not None:
-                some = np.where(missing[here], raw.dtype.type(0), some)
-            with np.errstate(over="ignore", invalid="ignore"):  # infinite: the caller's concern
-                mean = np.vecdot(some, ones) / np.maximum(count[here], 1)
-                block[...] = some
-                block -= mean[:, np.newaxis].astype(precision)
-            if missing is not None:
-                block[missing[here]] = 0.0
-            found.centre[here], ends[0, here], ends[1, here] = mean, block.min(axis=-1), block.max(axis=-1)
-            few = block.take(places, axis=1)
-            low, high = few <= ends[0, here, np.newaxis], few >= ends[1, here, np.newaxis]
-            # several times faster than counting booleans
-            at_ends[0, here] = low.view(np.uint8).sum(axis=-1, dtype=np.uint32)
-            at_ends[1, here] = high.view(np.uint8).sum(axis=-1, dtype=np.uint32)
-        if precision == np.float32:
-            # Where the mean is large beside the swing, single precision must begin after the subtraction.
-            size, swing = np.abs(found.centre), ends[1] - ends[0]
-            lifted = np.flatnonzero(np.isfinite(size) & ~(size < LIFTED * swing))
-            if lifted.size:
-                absent = None if missing is None else missing[lifted]
-                again = _Centred.of(raw[lifted], absent, np.dtype(np.float64))
-                with np.errstate(over="ignore"):  # beyond single precision: such records are fitted in double
-                    for name, fine in vars(again).items():
-                        getattr(found, name)[lifted] = fine
-        return found
 
 
 @cache

@@ -81,9 +81,9 @@ FEW_PERIODS, SLOWED = 10.0, 0.35
 """With fewer periods than that a rate that falls below this share of its mean is doubtful too: a gyro that comes
 to rest leaves too little of a beat to show it."""
 
-BELOW, FEWEST_TURNS = 0.5, 1.0
-"""Share of the mean rate below which a noisy rate that falls to `SLOWED` is slow, and turns of the beat meanwhile:
-with fewer a gyro that came to rest there, or turned round, would look the same."""
+JUMPS = 8.0
+"""Largest step of a noise of the rate, in its (robust) standard deviations, from which on it is none: a phase that
+jumps, or a gyro that turned round where this one seems to go on."""
 
 WEAKEST = 0.3  # the same for the amplitude, over its largest: a beam that is weaker than that was not drifting
 
@@ -134,7 +134,8 @@ def fit_moving_rate(values: Floats, mask: Floats, seen: FirstPhase | None = None
                 silent = fitted.variance * record.of < (SILENT * float(np.mean(seen.amplitude))) ** 2
                 walk = np.sqrt([fitted.looseness * fitted.variance * record.values.size])
                 fits = replace(fits, walk=walk, vibrates=np.array([silent or line_stands_out(of_steps, CHANCE)]))
-                if _may_have_turned_round(fitted):
+                moved = np.abs(fitted.model.moved)
+                if moved.max() > JUMPS / 0.6745 * np.median(moved):
                     fits.flags[0] |= int(Flag.PARTS_DIFFER)
             return fits if fits.believed[0] else None
     except np.linalg.LinAlgError:
@@ -144,10 +145,9 @@ def fit_moving_rate(values: Floats, mask: Floats, seen: FirstPhase | None = None
 def _fitted(record: SampledRecord, seen: FirstPhase) -> tuple[Fitted, Terms, bool]:
     """The fit, the terms that the data ask for, and whether the rate is noisy."""
     scale = (float(np.mean(seen.amplitude)) / record.of) ** 2
-    free, *rest = _roughly(SampledRecord(record.samples, record.valid * seen.trusted, record.of), seen, scale)
-    if not rest:
+    fits = _roughly(SampledRecord(record.samples, record.valid * seen.trusted, record.of), seen, scale)
+    if (free := fits[0]) is (loose := fits[-1]):
         return free, free.trajectory.terms, False
-    loose = rest[0]
     if seen.step is not None:  # it goes to the sample where the record says it is
         inside = np.flatnonzero(~seen.trusted)
         height = float(loose.trajectory.parameters[-1])
@@ -245,16 +245,6 @@ def smooth_motions(values: Floats, mask: Floats, phase: Floats | None = None) ->
     return moved, smooth
 
 
-def _may_have_turned_round(fitted: Fitted) -> bool:
-    """Whether the beat hardly turns while the rate falls and rises again."""
-    by_rate, count = fitted.trajectory.parts[0], fitted.trajectory.phase.size
-    known = slice(unknown := int(AT_ENDS * count), count - unknown)
-    rates = by_rate @ polynomials(count).values[: by_rate.size, known]
-    edges = np.flatnonzero(np.diff(rates < BELOW * by_rate[0], prepend=False, append=False)).reshape(-1, 2)
-    slow = (rates[start:stop] for start, stop in edges)
-    return any(part.min() < SLOWED * by_rate[0] and part.sum() < 2 * np.pi * FEWEST_TURNS for part in slow)
-
-
 def _louder_at_beat(fitted: Fitted) -> Floats:
     """Variance of s and c by noise of the rate that is stronger about the beat than it is in the mean, (2,)."""
     # Whatever the rate does at the beat itself looks like s and c. Steps of a variance v, seen through noise of n,
@@ -340,8 +330,7 @@ def as_beats(paths: Paths) -> MovingFits:
     # close to lock-in, or the beam lost, for a part
     too_slow = moves & (paths.slowest < SLOWEST * size)
     flags[too_slow | (paths.weakest < WEAKEST)] |= int(Flag.MISFIT)
-    few = rate * n_samples < 2 * np.pi * FEW_PERIODS
-    flags[few & (paths.slowest < SLOWED * rate)] |= int(Flag.PARTS_DIFFER)
+    flags[(rate * n_samples < 2 * np.pi * FEW_PERIODS) & (paths.slowest < SLOWED * rate)] |= int(Flag.PARTS_DIFFER)
     flags[paths.stretched] |= int(Flag.PARTS_DIFFER)
     nothing = np.zeros(n_records)
     return MovingFits(
@@ -489,8 +478,7 @@ class FirstPhase:
     @property
     def fast(self) -> float:
         """Largest change of the rate in a radian of the beat, over the rate, between knots of a path."""
-        count = int(knots_of(np.array([np.ptp(self.phase) / (2 * np.pi)]))[0])
-        each = max(self.phase.size // count, 1)
+        each = max(self.phase.size // int(knots_of(np.array([np.ptp(self.phase) / (2 * np.pi)]))[0]), 1)
         path = self.phase[: self.phase.size // each * each].reshape(-1, each).mean(axis=1)
         slopes = np.maximum((path[2:] - path[:-2]) / 2, 1e-5)
         return float(np.max(np.abs(np.diff(path, 2)) / slopes**2, initial=0.0))

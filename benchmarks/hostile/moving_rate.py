@@ -106,6 +106,14 @@ def swings_in_lock_in(rng: np.random.Generator) -> HostileRecord:
     return recorded(rng, gyro, beat(replace(gyro, start=settled), rates))
 
 
+def swings_through_zero(rng: np.random.Generator) -> HostileRecord:
+    """A slow swing about zero: it turns round and back."""
+    gyro = draw_gyro(rng, rate_over_lock_in=(1.5, 30.0))
+    turns = rng.uniform(0.5, 3.0)
+    rates = gyro.input_rate * np.cos(2 * np.pi * turns * step_times() + rng.uniform(0, 2 * np.pi))
+    return recorded(rng, gyro, beat(gyro, rates))
+
+
 def sampling_jitter(rng: np.random.Generator) -> HostileRecord:
     """The samples are taken too early or too late at random, by 1 to 30 % of the sample interval."""
     gyro = draw_gyro(rng)
@@ -127,6 +135,7 @@ CLASSES = (
     RecordClass("phase jump", "detect", phase_jump),
     RecordClass("shaken inside lock-in", "detect", shaken_in_lock_in),
     RecordClass("swings inside lock-in", "detect", swings_in_lock_in),
+    RecordClass("swings through zero", "detect", swings_through_zero),
     RecordClass("sampling jitter", "detect", sampling_jitter),
     RecordClass("vibration at the beat frequency itself", "blind", vibration_at_the_beat),
 )

@@ -82,8 +82,8 @@ FEW_PERIODS, SLOWED = 10.0, 0.35
 to rest leaves too little of a beat to show it."""
 
 JUMPS, BELOW = 8.0, 0.5
-"""Step of a noise of the rate, in its (robust) standard deviations, from which on it is a jump. One may be a gap of
-the samples; where they come again, or below this share of the mean rate, a gyro turned round and seems to go on."""
+"""Step of a noise of the rate, in its (robust) standard deviations, from which on it is a jump. One may be a gap;
+where they come again, or below this share of the mean rate, a gyro turned round and seems to go on."""
 
 WEAKEST = 0.3  # the same for the amplitude, over its largest: a beam that is weaker than that was not drifting
 
@@ -134,14 +134,14 @@ def fit_moving_rate(values: Floats, mask: Floats, seen: FirstPhase | None = None
                 silent = fitted.variance * record.of < (SILENT * float(np.mean(seen.amplitude))) ** 2
                 walk = np.sqrt([fitted.looseness * fitted.variance * record.values.size])
                 fits = replace(fits, walk=walk, vibrates=np.array([silent or line_stands_out(of_steps, CHANCE)]))
-                moved, phase, by_rate = (
+                moved, phase, rate = (
                     np.abs(fitted.model.moved),
                     fitted.trajectory.phase,
                     fitted.trajectory.parts[0],
                 )
                 far = np.flatnonzero(moved > JUMPS / 0.6745 * np.median(moved))
-                rates = by_rate @ polynomials(phase.size).means[: by_rate.size, far]
-                if far.size and (rates.min() < BELOW * by_rate[0] or np.ptp(phase[far]) > 2 * np.pi):
+                rates = rate @ polynomials(phase.size).means[: rate.size, far]
+                if far.size and (rates.min() < BELOW * rate[0] or np.ptp(phase[far]) > 2 * np.pi):
                     fits.flags[0] |= int(Flag.PARTS_DIFFER)
             return fits if fits.believed[0] else None
     except np.linalg.LinAlgError:

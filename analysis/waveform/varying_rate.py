@@ -134,14 +134,10 @@ def fit_moving_rate(values: Floats, mask: Floats, seen: FirstPhase | None = None
                 silent = fitted.variance * record.of < (SILENT * float(np.mean(seen.amplitude))) ** 2
                 walk = np.sqrt([fitted.looseness * fitted.variance * record.values.size])
                 fits = replace(fits, walk=walk, vibrates=np.array([silent or line_stands_out(of_steps, CHANCE)]))
-                moved, phase, rate = (
-                    np.abs(fitted.model.moved),
-                    fitted.trajectory.phase,
-                    fitted.trajectory.parts[0],
-                )
+                moved, at, rate = np.abs(fitted.model.moved), fitted.trajectory, fitted.trajectory.parts[0]
                 far = np.flatnonzero(moved > JUMPS / 0.6745 * np.median(moved))
-                rates = rate @ polynomials(phase.size).means[: rate.size, far]
-                if far.size and (rates.min() < BELOW * rate[0] or np.ptp(phase[far]) > 2 * np.pi):
+                rates = rate @ polynomials(at.phase.size).means[: rate.size, far]
+                if far.size and (rates.min() < BELOW * rate[0] or np.ptp(at.phase[far]) > 2 * np.pi):
                     fits.flags[0] |= int(Flag.PARTS_DIFFER)
             return fits if fits.believed[0] else None
     except np.linalg.LinAlgError:

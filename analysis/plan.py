@@ -23,7 +23,7 @@ from analysis.lockin_equation import beat_frequency, harmonic_ratio
 from analysis.lockin_rate import MAINS_ORDERS
 from analysis.several_rates import COUNTED, RatioData, predicted_ratio
 from analysis.several_rates.fit import gain_time_is_open, over_gain_times
-from analysis.several_rates.laser_fit import GAIN, SATURATION, LaserData, LaserFit, LaserModel
+from analysis.several_rates.laser_fit import GAIN, SATURATION, LaserData, LaserFit, LaserModel, beat_data
 from analysis.several_rates.points import UsedRecords, gather, place_in_run, records_of_arrays
 from analysis.several_rates.ratio_model import N_PARAMETERS, all_solutions, fit_ratios, prior_of, whitening_factor
 from analysis.several_rates.result import answer
@@ -149,6 +149,11 @@ class PlanRequest:
     def distortion_separated(self) -> bool:
         """Whether the rates can tell distortion from lock-in: two rates, or both senses."""
         return self.both_senses or len(set(self.rates_over_lock_in)) > 1
+
+    @property
+    def few_rates(self) -> bool:
+        """Whether the rates are too few for the beat alone to tell what laser it is of."""
+        return not self.both_senses and 1 < len(set(self.rates_over_lock_in)) < FEW_RATES
 
 
 MOST_RECORDS = 100_000
@@ -354,20 +359,20 @@ def _joint_u(request: PlanRequest, rates: tuple[PlannedRate, ...], *, all_else_k
 
 
 # --------------------
-# What the same records will say with the single beams beside the beat
+# What the same records will say of any laser, by the beat alone or with the single beams beside it
 
 
-def plan_beams(plan: Plan, beams: int, knowledge: BeamsKnowledge) -> tuple[float, float] | None:
-    """Relative u that the records of a plan give with single beams: half of all lasers less, and nine in ten.
+def plan_of_lasers(plan: Plan, beams: int, knowledge: BeamsKnowledge) -> tuple[float, float] | None:
+    """Relative u that the records of a plan give with so many beams: half of all lasers less, and nine in ten.
 
-    ``None`` without beams, and at one rate in one sense, where they tell nothing.
+    ``None`` at one rate in one sense, which tells nothing, and without beams at rates that tell the laser.
     """
     request = plan.request
-    if not (beams and request.distortion_separated):
+    if not (request.few_rates or (beams and request.distortion_separated)):
         return None
     visits = [rate for rate, _ in run_order([rate.input_rate for rate in plan.rates])]
     shape_of = {rate.input_rate: rate.shape for rate in plan.rates}
-    us = expected_beams_u(
+    us = expected_lasers_u(
         [replace(shape_of[rate], records=math.ceil(plan.records / visits.count(rate))) for rate in visits],
         visits,
         request.lock_in_rate,
@@ -387,7 +392,7 @@ _RATIOS, _SLOWEST_OVER_CORNER = (0.3, 3.0), (0.01, 3.0)  # of the lasers that ar
 _SATURATIONS = 0.1, 0.9
 
 
-def expected_beams_u(
+def expected_lasers_u(
     shapes: Sequence[RecordShape],
     input_rates: Sequence[float],
     lock_in_rate: float,
@@ -423,7 +428,8 @@ def expected_beams_u(
     used = UsedRecords(records, np.ones(rate.size, dtype=bool), np.zeros(rate.size), "beat")
     there = np.where(np.arange(2) < beams, noise[:, np.newaxis], np.nan)
     swings = BeamModulation(np.ones(there.shape, dtype=np.complex128), there, noise, np.ones(there.shape), 0)
-    data = beams_data(gather(used), swings, known, receiver)
+    points = gather(used)
+    data = beams_data(points, swings, known, receiver) if beams else beat_data(points, receiver)
     rng, us = np.random.default_rng(_SEED), list[float]()
     for _ in range(_DRAWS):
         laser = _drawn(rng, data, 2 * np.pi * scale_factor * lock_in_rate)

@@ -15,7 +15,6 @@ from analysis import harmonic_ratio, lock_in_from_rate
 from analysis.arrays import NORMAL_95
 from analysis.budget import TableGeometry
 from analysis.plan import (
-    FEW_RATES,
     FEWEST_RECORDS,
     MOST_RECORDS,
     Plan,
@@ -23,8 +22,8 @@ from analysis.plan import (
     PlanRequest,
     UncertaintyCurve,
     budget_elsewhere,
-    plan_beams,
     plan_measurement,
+    plan_of_lasers,
     plan_of_records,
     predicted_budget,
     uncertainty_curve,
@@ -87,6 +86,7 @@ class PlannedMeasurement:
     elsewhere: tuple[tuple[float, float], ...]
     # relative uncertainties that the same records give with single beams, of half of all lasers and of nine in ten
     beams: tuple[float, float] | None = None
+    alone: tuple[float, float] | None = None  # the same by the beat alone, where it cannot tell the laser
 
     @property
     def reached(self) -> bool:
@@ -114,8 +114,8 @@ def make_plan(settings: Settings, options: PlanOptions) -> PlannedMeasurement:
         except ValueError:  # locked
             u = math.inf
         found.append((true, u))
-    beams = plan_beams(plan, len(settings.beams.channels), beams_knowledge(settings))
-    return PlannedMeasurement(plan, tuple(found), beams)
+    alone, beams = (plan_of_lasers(plan, n, beams_knowledge(settings)) for n in (0, len(settings.beams.channels)))
+    return PlannedMeasurement(plan, tuple(found), beams if settings.beams.channels else None, alone)
 
 
 def plan_request(settings: Settings, options: PlanOptions) -> PlanRequest:
@@ -168,8 +168,10 @@ def plan_document(planned: PlannedMeasurement, sentences: list[str]) -> dict[str
         "records_per_rate": plan.records,
         "records": plan.records * len(plan.rates),
         "duration_s": plan.duration_s,
-        "with_beams": planned.beams
-        and {"predicted_u_percent": 100 * planned.beams[0], "nine_in_ten_u_percent": 100 * planned.beams[1]},
+        **{
+            key: us and {"predicted_u_percent": 100 * us[0], "nine_in_ten_u_percent": 100 * us[1]}
+            for key, us in (("of_any_laser", planned.alone), ("with_beams", planned.beams))
+        },
         "rates": [_rate_document(rate) for rate in plan.rates],
         "if_lock_in_rate_is": [
             {LOCK_IN_RATE.key(): rate, "predicted_u_percent": 100 * u} for rate, u in planned.elsewhere
@@ -295,7 +297,8 @@ def _lock_in(settings: Settings) -> Prediction:
         records = records_at_each(settings, steps)
         request = plan_request(settings, PlanOptions(rates=ratios, both_senses=both))
         planned = plan_of_records(request, records)
-        beams = plan_beams(planned, len(settings.beams.channels), beams_knowledge(settings))
+        beams = len(settings.beams.channels)
+        lasers = plan_of_lasers(planned, beams, beams_knowledge(settings))
     except (ValueError, NoUsableSignal) as error:
         return Prediction(None, why_not=str(error))
     each = planned.duration_s / sum(rate.shape.records for rate in planned.rates)
@@ -306,8 +309,8 @@ def _lock_in(settings: Settings) -> Prediction:
         seconds += senses * (settings.table.settle_s + settings.measurement.tilt_records * each)
     rates = tuple(sorted(step.sense * step.over_lock_in for step in steps.steps))
     u, u95 = planned.budget.combined_u, planned.budget.expanded_u_95
-    if beams is not None and math.isfinite(beams[0]):
-        u, u95 = (factor * beams[0] * request.lock_in_rate for factor in (1.0, NORMAL_95))
+    if lasers is not None and math.isfinite(lasers[0]) and (beams or lasers[0] > planned.budget.relative_u):
+        u, u95 = (factor * lasers[0] * request.lock_in_rate for factor in (1.0, NORMAL_95))
     return Prediction(seconds, u, u95, "", rates, records)
 
 
@@ -405,7 +408,7 @@ def plan_sentences(planned: PlannedMeasurement) -> list[str]:
     first = [_outcome(plan), *_beams(planned)]
     if planned.reached and not plan.reached:  # by the beams: that is what is asked for
         first = [first[1], f"By the beat alone {first[0]}"]
-    return [*first, *_why_not_faster(plan), *_senses(plan), *said, *_warnings(plan)]
+    return [*first, *_why_not_faster(plan), *_senses(planned), *said, *_warnings(plan)]
 
 
 def rate_words(rate: PlannedRate) -> tuple[str, ...]:
@@ -494,8 +497,8 @@ def _largest(limit: float, ratio: float) -> float:
     return limit / ratio * (1 + ratio**2)
 
 
-def _senses(plan: Plan) -> list[str]:
-    request = plan.request
+def _senses(planned: PlannedMeasurement) -> list[str]:
+    request = planned.plan.request
     if request.reference == "rate":
         own = plan_measurement(replace(request, reference="beat"))
         said = (
@@ -503,12 +506,12 @@ def _senses(plan: Plan) -> list[str]:
             f"record as its own reference {own.records * len(own.rates)} records from "
             f"{own.rates[0].over_lock_in:.3g} times lock-in on give {100 * own.budget.relative_u:.2g} %."
         )
-        return [said, *_separation(plan)]
-    return _separation(plan)
+        return [said, *_separation(planned)]
+    return _separation(planned)
 
 
-def _separation(plan: Plan) -> list[str]:
-    request = plan.request
+def _separation(planned: PlannedMeasurement) -> list[str]:
+    plan, request = planned.plan, planned.plan.request
     rates = len({rate.over_lock_in for rate in plan.rates})
     if request.both_senses:
         said = (
@@ -520,8 +523,9 @@ def _separation(plan: Plan) -> list[str]:
     if request.distortion_separated:
         both = plan_measurement(replace(request, both_senses=True))
         few, most = "tell distortion from lock-in, but", "most of the uncertainty"
-        if rates < FEW_RATES:
-            few, most = "may have two solutions, and", f"{most}, more if the laser's gain is slow"
+        if planned.alone:
+            half, nine = (f"{100 * u:.2g} %" if math.isfinite(u) else "anything" for u in planned.alone)
+            few = f"may have two solutions ({half} for half of all lasers, {nine} for nine in ten), and"
         return [
             f"{rates} rates in one sense {few} what separates them costs {most}. In both senses "
             f"(--both-senses) {both.records * len(both.rates)} records give {100 * both.budget.relative_u:.2g} %."

@@ -629,17 +629,22 @@ _ANGLE_PLACES = (-1.75, -1.05, -0.35, 0.35, 1.05, 1.75)
 _PLACES = np.array([(m, n * way) for m, way in ((0.35, 1), (1.05, -1), (1.75, 1)) for n in _ANGLE_PLACES])
 
 
-def lasers_of_beat(points: Points, starts: Floats, known: Prior, bench: BenchKnowledge) -> list[LaserFit]:
-    """Lasers that harmonics and rates allow, the likeliest first; begun from sets of equation (1) (B, 10)."""
+def beat_data(points: Points, bench: BenchKnowledge) -> LaserData:
+    """The points of a beat without beams, and what is known of everything beforehand."""
     mean, sd = beforehand(points.points, bench)
-    sd[LEVEL.start : DELAY.stop], sd[[CORNER, PEDESTAL]], sd[BETWEEN : DRIFT + 1] = 0.0, 0.0, known.sd[SENSES:]
     half = np.ptp(BACKSCATTER, axis=0) / 2 / _RECTANGLE
-    sd[SATURATION] = half[2]
+    sd[LEVEL.start : DELAY.stop], sd[[CORNER, PEDESTAL]], sd[SATURATION] = 0.0, 0.0, half[2]
     weight, beat_u = rates_weight(points, LEAST_U)
     sd[SCALE], sd[BIAS] = 0.1 * weight.any(), sd[BIAS] * weight.any()  # anything that all rates have in common
     usual, nothing = (half[1], half[0]), np.zeros((weight.size, 2))
     swing = nothing.astype(np.complex128)
-    data = LaserData(points, swing, nothing, 0 * weight, nothing, weight, beat_u, mean, sd, 0.0, usual=usual)
+    return LaserData(points, swing, nothing, 0 * weight, nothing, weight, beat_u, mean, sd, 0.0, usual=usual)
+
+
+def lasers_of_beat(points: Points, starts: Floats, known: Prior, bench: BenchKnowledge) -> list[LaserFit]:
+    """Lasers that harmonics and rates allow, the likeliest first; begun from sets of equation (1) (B, 10)."""
+    data = beat_data(points, bench)
+    data.sd[BETWEEN : DRIFT + 1], usual = known.sd[SENSES:], data.usual
     found = lasers_by_rates(data, lambda data: _looked(data, starts))
     best, sizes = found[0], np.array([one.coupling(1.0)[0] for one in found])
     apart = bool(np.any(np.abs(sizes[:, 0] - sizes[0, 0]) > _APART * sizes[:, 1].max()))

@@ -12,7 +12,7 @@ from analysis.arrays import NoFit
 from analysis.beam_swings import BeamModulation, BeamsFlag, beam_modulation
 from analysis.budget import RecordShape
 from analysis.harmonics import fit_harmonics
-from analysis.plan import expected_beams_u
+from analysis.plan import expected_lasers_u
 from analysis.ring_laser import TwoModeLaser, steady_beat
 from analysis.several_rates.laser_fit import search
 from analysis.single_beams import BeamsKnowledge, fit_beams
@@ -216,14 +216,14 @@ def test_a_plan_promises_what_such_lasers_give():
         RecordShape(SAMPLES, PERIODS / (K * np.sqrt(rate**2 - WL**2)) / SAMPLES, 90.0, 0.6, 1.0, 4)
         for rate in rates
     ]
-    us = expected_beams_u(shapes, rates, WL, K, knowledge=KNOWN)
+    us = expected_lasers_u(shapes, rates, WL, K, knowledge=KNOWN)
     assert np.all(np.diff(us) >= 0)
     assert us[0] / 1.2 < fit.lock_in_rate_u < 1.2 * us[-1]
-    half, of_one = np.median(us), np.median(expected_beams_u(shapes, rates, WL, K, beams=1, knowledge=KNOWN))
+    half, of_one = np.median(us), np.median(expected_lasers_u(shapes, rates, WL, K, beams=1, knowledge=KNOWN))
     assert 0.4 < half / fit.lock_in_rate_u < 2.5
     assert half < of_one  # one beam alone tells less
     many = [replace(shape, records=400) for shape in shapes]
-    assert 0.1 < np.median(expected_beams_u(many, rates, WL, K, knowledge=KNOWN)) / half < 0.9
+    assert 0.1 < np.median(expected_lasers_u(many, rates, WL, K, knowledge=KNOWN)) / half < 0.9
 
 
 @pytest.mark.slow

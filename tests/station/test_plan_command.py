@@ -55,16 +55,16 @@ def test_plan_counts_single_beams(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert beams["predicted_u_percent"] < beams["nine_in_ten_u_percent"]
     assert few["reasons"][0].startswith(f"With the single beams {few['records']} records: ")
     assert few["reasons"][1].startswith("By the beat alone 1 % cannot be reached: ")
-    of_step = {
-        "measurement": {"rates_over_lock_in": [3.0, 30.0], "both_senses": False},
-        "beams": {"channels": ["CH2"]},
-    }
     shipped = load_settings(None).model_dump(mode="json")
-    with_one, alone = (
-        predict("measure", {**shipped, **{name: {**shipped[name], **of_step[name]} for name in names}})
-        for names in (("measurement", "beams"), ("measurement",))
+    shipped["measurement"] |= {"rates_over_lock_in": [3.0, 30.0], "both_senses": False}
+    with_both, with_one, alone = (
+        predict("measure", {**shipped, "beams": {**shipped["beams"], "channels": channels}})
+        for channels in (["CH2", "CH3"], ["CH2"], [])
     )
-    assert with_one.u < alone.u / 2  # a campaign counts them too
+    assert with_both.u < with_one.u / 2 < alone.u / 2  # a campaign counts them too, for the same lasers
+    alone_of = few["of_any_laser"]
+    assert 3 * beams["predicted_u_percent"] < alone_of["predicted_u_percent"] < alone_of["nine_in_ten_u_percent"]
+    assert planned(capsys, "--rates", "3,30", "--both-senses")["of_any_laser"] is None  # they tell the laser
 
 
 @pytest.mark.slow

@@ -328,7 +328,19 @@ def _budget(request: PlanRequest, rates: tuple[PlannedRate, ...]) -> Budget:
         return lock_in_budget(point, knowledge, request.reference)
     alone = lock_in_budget(point, knowledge, request.reference)
     own = math.hypot(*(line.contribution for line in alone.inputs if line.name in ("noise", "quantization")))
-    noise, joint = _joint_u(request, rates, all_else_known=True), _joint_u(request, rates)
+    noise, joint = (
+        expected_joint_u(
+            [rate.shape for rate in rates],
+            [rate.input_rate for rate in rates],
+            request.lock_in_rate,
+            request.scale_factor,
+            reference=request.reference,
+            phase=request.phase,
+            receiver=request.knowledge,
+            all_else_known=known,
+        )
+        for known in (True, False)
+    )
     point = replace(
         point,
         ratio_u=point.ratio_u * noise / own,
@@ -343,19 +355,6 @@ def _budget(request: PlanRequest, rates: tuple[PlannedRate, ...]) -> Budget:
 
 
 _SEPARATION_NOTE = "they are fitted to the same records, within what is known of them"
-
-
-def _joint_u(request: PlanRequest, rates: tuple[PlannedRate, ...], *, all_else_known: bool = False) -> float:
-    return expected_joint_u(
-        [rate.shape for rate in rates],
-        [rate.input_rate for rate in rates],
-        request.lock_in_rate,
-        request.scale_factor,
-        reference=request.reference,
-        phase=request.phase,
-        receiver=request.knowledge,
-        all_else_known=all_else_known,
-    )
 
 
 # --------------------

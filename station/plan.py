@@ -132,6 +132,10 @@ def plan_request(settings: Settings, options: PlanOptions) -> PlanRequest:
     if rates is None:
         rates, chosen = _measured_rates(settings, options, lock_in_rate, scale_factor)
         both_senses = both_senses or chosen
+    baud = options.baud if options.baud is not None else settings.scope.baud_rate
+    if not baud and (settings.simulated or settings.scope.resource.upper().startswith("ASRL")):
+        baud = _FACTORY_BAUD
+    transfer = _BYTES_PER_RECORD * _SERIAL_BITS / baud if baud else _FAST_LINK_S
     return PlanRequest(
         lock_in_rate=lock_in_rate,
         lock_in_factor=options.lock_in_factor,
@@ -149,7 +153,7 @@ def plan_request(settings: Settings, options: PlanOptions) -> PlanRequest:
         periods_min=settings.measurement.periods_min,
         samples_per_period_min=settings.measurement.samples_per_period_min,
         fill_levels=settings.measurement.fill_levels,
-        seconds_between_records=_between_records(settings, options),
+        seconds_between_records=_given(options.transfer_s, transfer),
     )
 
 
@@ -172,7 +176,23 @@ def plan_document(planned: PlannedMeasurement, sentences: list[str]) -> dict[str
             key: us and {"predicted_u_percent": 100 * us[0], "nine_in_ten_u_percent": 100 * us[1]}
             for key, us in (("of_any_laser", planned.alone), ("with_beams", planned.beams))
         },
-        "rates": [_rate_document(rate) for rate in plan.rates],
+        "rates": [
+            {
+                "rate_over_lock_in": rate.over_lock_in,
+                INPUT_RATE.key(): rate.input_rate,
+                "table_rate_dps": rate.table_rate,
+                BEAT_FREQUENCY.key(): rate.beat_frequency,
+                "seconds_per_division_s": rate.seconds_per_division,
+                "volts_per_division_v": rate.volts_per_division,
+                "record_s": rate.shape.duration,
+                "periods": rate.periods,
+                "samples_per_period": rate.samples_per_period,
+                "amplitude_levels": rate.levels,
+                NOISE_RMS.key(): rate.shape.total_noise,
+                "records": rate.shape.records,
+            }
+            for rate in plan.rates
+        ],
         "if_lock_in_rate_is": [
             {LOCK_IN_RATE.key(): rate, "predicted_u_percent": 100 * u} for rate, u in planned.elsewhere
         ],
@@ -186,23 +206,6 @@ def plan_document(planned: PlannedMeasurement, sentences: list[str]) -> dict[str
             },
         },
         "reasons": sentences,
-    }
-
-
-def _rate_document(rate: PlannedRate) -> dict[str, Any]:
-    return {
-        "rate_over_lock_in": rate.over_lock_in,
-        INPUT_RATE.key(): rate.input_rate,
-        "table_rate_dps": rate.table_rate,
-        BEAT_FREQUENCY.key(): rate.beat_frequency,
-        "seconds_per_division_s": rate.seconds_per_division,
-        "volts_per_division_v": rate.volts_per_division,
-        "record_s": rate.shape.duration,
-        "periods": rate.periods,
-        "samples_per_period": rate.samples_per_period,
-        "amplitude_levels": rate.levels,
-        NOISE_RMS.key(): rate.shape.total_noise,
-        "records": rate.shape.records,
     }
 
 
@@ -247,16 +250,6 @@ def _table(settings: Settings, options: PlanOptions) -> TableGeometry | None:
         latitude_deg=settings.site.latitude_deg,
         latitude_u_deg=stated.latitude_u_deg if stated is not None else 0.0,
     )
-
-
-def _between_records(settings: Settings, options: PlanOptions) -> float:
-    """Seconds that a record needs to come over the link."""
-    if options.transfer_s is not None:
-        return options.transfer_s
-    baud = options.baud if options.baud is not None else settings.scope.baud_rate
-    if not baud and (settings.simulated or settings.scope.resource.upper().startswith("ASRL")):
-        baud = _FACTORY_BAUD
-    return _BYTES_PER_RECORD * _SERIAL_BITS / baud if baud else _FAST_LINK_S
 
 
 # --------------------

@@ -335,25 +335,13 @@ def as_beats(paths: Paths) -> MovingFits:
     flags[(rate * n_samples < 2 * np.pi * FEW_PERIODS) & (paths.slowest < SLOWED * rate)] |= int(Flag.PARTS_DIFFER)
     flags[paths.stretched] |= int(Flag.PARTS_DIFFER)
     nothing = np.zeros(n_records)
+    first = -paths.amplitude * turn * (1 - ratio**2) * u
     return MovingFits(
-        Series(
-            paths.offset + paths.amplitude * ratio * turn.real,
-            -paths.amplitude * turn * (1 - ratio**2) * u,
-            q,
-            omega,
-        ),
-        whole @ covariance @ whole.transpose(0, 2, 1),
-        paths.variance,
-        paths.degrees,
-        paths.left,
-        believed,
-        flags.astype(np.int64),
-        nothing,
-        nothing > 0,
-        by_pull * np.sqrt(3) * paths.drift,
-        paths.drift_chance,
+        Series(paths.offset + paths.amplitude * ratio * turn.real, first, q, omega),
+        whole @ covariance @ whole.transpose(0, 2, 1), paths.variance, paths.degrees, paths.left, believed,
+        flags.astype(np.int64), nothing, nothing > 0, by_pull * np.sqrt(3) * paths.drift, paths.drift_chance,
         by_pull * paths.stepped_u,
-    )
+    )  # fmt: skip
 
 
 # --------------------
@@ -482,8 +470,7 @@ class FirstPhase:
         """Largest change of the rate in a radian of the beat, over the rate, between knots of a path."""
         each = max(self.phase.size // int(knots_of(np.array([np.ptp(self.phase) / (2 * np.pi)]))[0]), 1)
         path = self.phase[: self.phase.size // each * each].reshape(-1, each).mean(axis=1)
-        slopes = np.maximum((path[2:] - path[:-2]) / 2, 1e-5)
-        return float(np.max(np.abs(np.diff(path, 2)) / slopes**2, initial=0.0))
+        return float((np.abs(np.diff(path, 2)) / np.maximum((path[2:] - path[:-2]) / 2, 1e-5) ** 2).max())
 
 
 def first_phase(values: Floats, mask: Floats) -> FirstPhase | None:
@@ -604,6 +591,8 @@ MOST_REPEATING = 0.5
 
 HARMONICS = 8
 
+STEADY = 4.0  # standard deviations by which noise may differ from what it is in the mean
+
 MOST_BESIDE = 64  # lines on either side of the fundamental that are looked at
 
 ONE_SIDED, BANDS = 6.0, (2, 4, 8, 16)
@@ -653,6 +642,13 @@ def may_be_motion(left: Floats, series: Series, whole: Bools) -> tuple[Bools, In
     ask = np.flatnonzero(open_ & ~steep & about & ~large)
     has_direction, sidebands = _have_direction(left[ask], series.take(ask), line[ask], floor[ask])
     moves = open_ & (steep | (about & large))
+    loud = never_alone(np.flatnonzero(open_ & large & ~moves))
+    if loud.size:  # a phase that moves leaves most where the beat is steep, noise does not
+        some, turn = series.take(loud), carrier_of(series.omega[loud], n_samples, left.dtype)
+        slope = (some.first[:, np.newaxis] * turn / (1 - some.ratio[:, np.newaxis] * turn) ** 2).imag ** 2
+        slope -= slope.mean(axis=1, keepdims=True)
+        along = np.vecdot(left[loud] ** 2, slope) / np.sqrt(2 * np.vecdot(slope, slope))
+        moves[loud] = along * n_samples > STEADY * of_samples[loud]
     moves[ask[has_direction]] = True
     told = never_alone(np.flatnonzero(has_direction & whole[ask]))
     floor, of_amplitude, of_phase, reach = sidebands
@@ -698,7 +694,6 @@ def _have_direction(left: Floats, series: Series, line: Floats, floor: Floats) -
 LARGEST_SMALL, RISE = 0.06, 0.45  # rad rms; of the ratio, over the square of it, that the step may miss
 HARMLESS = 0.35  # what it misses, in standard uncertainties of the ratio by noise
 STEPS_AT_ONCE = 8  # records whose samples stay in the cache
-STEADY = 4.0  # standard deviations of noise by which the amplitude, or the upper lines, may differ from it
 
 
 def small_motions(values: Samples, sidebands: Sidebands, series: Series) -> tuple[Indices, MovingFits]:

@@ -356,3 +356,19 @@ def test_a_gyro_that_turns_round_is_no_noisy_rate(over: float, periods: float, c
     e = estimate_lock_in(codes, 1.0, scale_factor=k)
     wrong = np.abs(e.lock_in_rate - 1 / over) > 4 * e.lock_in_rate_u
     assert not np.any(wrong & ((e.flags & int(DOUBTFUL)) == 0))
+
+
+def test_a_wander_whose_residual_looks_white_is_seen_by_where_it_is_loud() -> None:
+    """Close to lock-in the harmonics of a coarse record fill its spectrum, and so does what a wander leaves."""
+    rng = np.random.default_rng(78)
+    n, over, periods = 147, 1.2, 13.0
+    walks = np.cumsum(rng.normal(scale=0.03 / np.sqrt(n), size=(40, n - 1)), axis=1)
+    k = periods / n / np.sqrt(1 - over**-2)
+    volts = rate_varying_beat(
+        1 + walks, 1.0, scale_factor=k, lock_in_rate=1 / over, initial_phase=rng.uniform(0, 6, 40)
+    )
+    codes = np.rint(90 * volts + rng.normal(size=volts.shape))
+    e = estimate_lock_in(codes, 1.0, scale_factor=k)
+    wrong = np.abs(e.lock_in_rate - 1 / over) > 4 * e.lock_in_rate_u
+    usable = (e.flags & int(DOUBTFUL)) == 0
+    assert np.count_nonzero(usable) > 20 and not np.any(wrong & usable)

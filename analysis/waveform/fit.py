@@ -39,8 +39,8 @@ from analysis.waveform.residuals import (
 from analysis.waveform.series import Series, drift_by_samples, sampled_series
 from analysis.waveform.series_fit import PLAIN_RATIO, SeriesFit, Task, fit_series, fit_series_again, gauss_newton
 from analysis.waveform.varying_rate import (
-    FASTEST,
     LARGE,
+    UNEVEN,
     FirstPhase,
     MovingFits,
     first_phase,
@@ -393,7 +393,7 @@ def _followed(
         for by_crests in (False, True):
             if by_crests:  # a motion so wide that the fundamental has no band of its own is read from them
                 seen = {place: first_phase(values[place], mask[place]) for place in tried.tolist()}
-                crests = {place: found.phase for place, found in seen.items() if found and found.fast < FASTEST}
+                crests = {place: found.phase for place, found in seen.items() if found and found.uneven < UNEVEN}
                 tried = never_alone(np.array(list(crests), dtype=np.intp))
                 phase = np.array([crests[place] for place in tried.tolist()])
             if not tried.size:

@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
-import scipy.linalg
 import scipy.special
 from numpy.polynomial import legendre
+from scipy.linalg import solve_triangular
 
 from analysis.arrays import Bools, Complexes, Floats, Indices, Ints, Samples, Stacked
 from analysis.flags import Flag
@@ -42,7 +42,8 @@ ROOM, ROOM_AT_LEAST = 1.25, 2
 as the noise."""
 
 LOST = 0.02
-"""Share of the samples at which a phase that is still free hardly moves: the gyro was locked, or the beat away."""
+"""Share of the samples at which a phase that is still free hardly moves, and 1.2 turns of the mean rate at least:
+the gyro was locked, or the beat away."""
 
 FREE, LOOSE, TIGHT, EXACT = 1.0, 1e-2, 1e-6, 1e-8
 """Looseness times the squared amplitude, in turn. Over 2500 samples the last one moves the phase by a thousandth
@@ -137,7 +138,8 @@ def fit_moving_rate(values: Floats, mask: Floats, seen: FirstPhase | None = None
                 moved, at, rate = np.abs(fitted.model.moved), fitted.trajectory, fitted.trajectory.parts[0]
                 far = np.flatnonzero(moved > JUMPS / 0.6745 * np.median(moved))
                 rates = rate @ polynomials(at.phase.size).means[: rate.size, far]
-                if far.size and (rates.min() < BELOW * rate[0] or np.ptp(at.phase[far]) > 2 * np.pi):
+                quiet = walk[0] ** 2 < np.ptp(at.phase) / 2  # or it may turn round at a crest by itself
+                if quiet and far.size and (rates.min() < BELOW * rate[0] or np.ptp(at.phase[far]) > 2 * np.pi):
                     fits.flags[0] |= int(Flag.PARTS_DIFFER)
             return fits if fits.believed[0] else None
     except np.linalg.LinAlgError:
@@ -203,7 +205,7 @@ def _roughly(record: SampledRecord, seen: FirstPhase, scale: float) -> list[Fitt
         phase, (rate, pull, amplitude, offset) = fitted.trajectory.phase, fitted.trajectory.parts
         fits.append(fitted)
         rates = rate @ polynomials(phase.size).values[: rate.size]
-        if np.mean(rates < np.hypot(*pull) / 2) > LOST:
+        if np.mean(rates < np.hypot(*pull) / 2) > max(LOST, 1.2 / periods):
             break
     return fits
 
@@ -228,8 +230,9 @@ def _likeliest(record: SampledRecord, fitted: Fitted, width: float, finest: floa
     return min(tried.values(), key=lambda fit: fit.evidence)
 
 
-FASTEST = 0.1
-"""Change of the rate in a radian of the beat, over the rate, up to which the smooth phase is exact enough."""
+FASTEST, UNEVEN = 0.1, 2.5
+"""Change of the rate in a radian of the beat, over the rate, up to which the smooth phase is exact enough; ratio
+of what two turns in a row take from which on it is hopeless."""
 
 NEAR_LOCK_IN, UNHURRIED = 1.5, 0.02
 """Closer to lock-in than that, in lock-in rates, a motion must be so much slower."""
@@ -417,17 +420,17 @@ def matched_motion(phase: Floats, weights: Floats, terms: int) -> tuple[Floats, 
     columns *= weights
     target = weights * phase
     normal, scale = unit_diagonal(columns @ columns.T)
-    factor = scipy.linalg.cholesky(normal, lower=True)
+    factor = np.linalg.cholesky(normal)
     # The factor is nested: what each further polynomial explains is one square.
-    explained = scipy.linalg.solve_triangular(factor, scale * (columns @ target), lower=True)
+    explained = solve_triangular(factor, scale * (columns @ target), lower=True, check_finite=False)
     left = np.maximum(target @ target - np.cumsum(explained**2)[3:], 1e-300)
     # what all terms leave is as many values as it forgets: a phase that walks is no motion
-    rough = target - scipy.linalg.solve_triangular(factor.T, explained) * scale @ columns
+    rough = target - solve_triangular(factor.T, explained, check_finite=False) * scale @ columns
     forgotten = min(np.sum(np.diff(rough) ** 2) / max(2 * rough @ rough, 1e-300), 1.0)
     count = max(np.count_nonzero(weights) * float(forgotten), FEWEST_VALUES)
     degree = int(np.argmin(count * np.log(left) + np.log(count) * np.arange(left.size)))
     size = degree + 4
-    solution = scale[:size] * scipy.linalg.solve_triangular(factor[:size, :size].T, explained[:size])
+    solution = scale[:size] * solve_triangular(factor[:size, :size].T, explained[:size], check_finite=False)
     return solution[3:], solution[1:3]
 
 
@@ -466,11 +469,11 @@ class FirstPhase:
     step: int | None  # number of the first sample behind a step of the offset, or None
 
     @property
-    def fast(self) -> float:
-        """Largest change of the rate in a radian of the beat, over the rate, between knots of a path."""
-        each = max(self.phase.size // int(knots_of(np.array([np.ptp(self.phase) / (2 * np.pi)]))[0]), 1)
-        path = self.phase[: self.phase.size // each * each].reshape(-1, each).mean(axis=1)
-        return float((np.abs(np.diff(path, 2)) / np.maximum((path[2:] - path[:-2]) / 2, 1e-5) ** 2).max())
+    def uneven(self) -> float:
+        """Largest ratio between what two turns in a row take."""
+        rising = np.maximum.accumulate(self.phase)
+        turns = np.diff(np.interp(np.arange(rising[0], rising[-1], 2 * np.pi), rising, np.arange(rising.size)))
+        return float(np.max(np.maximum(turns[1:] / turns[:-1], turns[:-1] / turns[1:]), initial=1.0))
 
 
 def first_phase(values: Floats, mask: Floats) -> FirstPhase | None:
@@ -489,7 +492,7 @@ def first_phase(values: Floats, mask: Floats) -> FirstPhase | None:
     if crests.size < FEWEST_CRESTS:
         return None
     amplitude, offset, trusted, step = _envelope(crests[1:-1], smooth[crests[1:-1]], signs[1:-1], values.size)
-    if np.any(amplitude <= 0):
+    if not np.all(amplitude > 0):
         return None
     level = np.clip((smooth - offset) / amplitude, -1.0, 1.0)
     if np.mean(np.abs(level[valid]) > REACHED) > SQUARE:

@@ -260,7 +260,7 @@ def _judged(
     beat_power = np.abs(series.first) ** 2 / 2 * count
     at_rest, moving = np.ones(len(count), dtype=bool), np.zeros(len(count), dtype=bool)
     asked = report.uneven | ((report.flags & int(Flag.COLOURED_NOISE)) != 0)
-    asked |= power > LARGE * beat_power
+    asked |= ~fatal & (power > LARGE * beat_power)
     # A residual as small as this cannot come from a motion that would move the ratio.
     asked &= power > TRACKED_FROM**2 * np.abs(series.first) ** 2 * count
     motions = _followed(

@@ -114,8 +114,9 @@ def make_plan(settings: Settings, options: PlanOptions) -> PlannedMeasurement:
         except ValueError:  # locked
             u = math.inf
         found.append((true, u))
-    alone, beams = (plan_of_lasers(plan, n, beams_knowledge(settings)) for n in (0, len(settings.beams.channels)))
-    return PlannedMeasurement(plan, tuple(found), beams if settings.beams.channels else None, alone)
+    channels, knowledge = len(settings.beams.channels), beams_knowledge(settings)
+    beams = plan_of_lasers(plan, channels, knowledge) if channels else None
+    return PlannedMeasurement(plan, tuple(found), beams, plan_of_lasers(plan, 0, knowledge))
 
 
 def plan_request(settings: Settings, options: PlanOptions) -> PlanRequest:

@@ -543,7 +543,8 @@ def by_level(left: Floats, level: Floats, degrees: Floats) -> tuple[Floats, Bool
     normal = (columns @ columns.transpose(0, 2, 1)).astype(np.float64)
     factor = np.linalg.cholesky(normal + ROUNDED * left.shape[1] * np.eye(LAST + 1))
     # offset and amplitude are fitted
-    along = np.linalg.solve(factor, columns @ left.astype(np.float32)[..., np.newaxis])[:, 2:, 0]
+    scale = np.maximum(np.abs(left).max(axis=1, keepdims=True), NOTHING)
+    along = np.linalg.solve(factor, columns @ (left / scale).astype(np.float32)[..., np.newaxis])[:, 2:, 0] * scale
     found, number = np.vecdot(along, along), along.shape[1]
     free = np.maximum(degrees - number, 1.0)
     variance = np.maximum(np.vecdot(left, left) - found, NOTHING) / free

@@ -41,9 +41,7 @@ ROOM, ROOM_AT_LEAST = 1.25, 2
 """So many more polynomials of the rate are kept than the criterion asks for: it is content with a fault as large
 as the noise."""
 
-LOST = 0.02
-"""Share of the samples at which a phase that is still free hardly moves, and 1.2 turns of the mean rate at least:
-the gyro was locked, or the beat away."""
+LOST = 0.02  # share of the samples, and 1.2 turns at least, where a free phase hardly moves: locked, or no beat
 
 FREE, LOOSE, TIGHT, EXACT = 1.0, 1e-2, 1e-6, 1e-8
 """Looseness times the squared amplitude, in turn. Over 2500 samples the last one moves the phase by a thousandth
@@ -725,16 +723,16 @@ def small_motions(values: Samples, sidebands: Sidebands, series: Series) -> tupl
     lines = np.zeros((rows.size, n_samples // 2 + 1), dtype=np.complex128)
     lines[:, number] = even[rows]
     phase = (np.fft.irfft(lines, n_samples) + jump[rows, np.newaxis] * place) / first[rows, np.newaxis]
-    phase = phase.astype(np.float32)
-    step, inverse, rest = np.empty((rows.size, 6)), np.empty((rows.size, 6, 6)), values[rows].astype(np.float32)
+    phase = phase.astype(values.dtype)
+    step, inverse, rest = np.empty((rows.size, 6)), np.empty((rows.size, 6, 6)), values[rows]
     for begin in range(0, rows.size, STEPS_AT_ONCE):
         few = slice(begin, begin + STEPS_AT_ONCE)
         some = series.take(rows[few])
         along = carrier_of(some.omega, n_samples, rest.dtype)
-        along *= np.cos(phase[few]) + np.complex64(1j) * np.sin(phase[few])
+        along *= np.cos(phase[few]) + 1j * np.sin(phase[few])
         tangents, rest[few] = tangents_along(along, rest[few], None, some)
         step[few], inverse[few] = step_by_samples(tangents, rest[few]).solve_and_invert()
-        rest[few] -= (step[few, np.newaxis].astype(np.float32) @ tangents)[:, 0]
+        rest[few] -= (step[few, np.newaxis].astype(rest.dtype) @ tangents)[:, 0]
     degrees = np.asarray(n_samples - 6.0 - 2.0 * reach[rows], dtype=np.float64)
     variance = np.vecdot(rest, rest).astype(np.float64) / degrees
     nothing, wander = np.zeros(rows.size), np.full(rows.size, int(Flag.RATE_WANDER), dtype=np.int64)

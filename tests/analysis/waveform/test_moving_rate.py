@@ -372,3 +372,16 @@ def test_a_wander_whose_residual_looks_white_is_seen_by_where_it_is_loud() -> No
     wrong = np.abs(e.lock_in_rate - 1 / over) > 4 * e.lock_in_rate_u
     usable = (e.flags & int(DOUBTFUL)) == 0
     assert np.count_nonzero(usable) > 20 and not np.any(wrong & usable)
+
+
+def test_a_small_motion_is_as_well_seen_in_any_unit() -> None:
+    rng = np.random.default_rng(79)
+    rates = 1 + 1e-3 * np.sin(2 * np.pi * 1.5 * TIME[:-1])
+    volts = rate_varying_beat(rates, 1.0, scale_factor=30 / N, lock_in_rate=0.17) + rng.normal(scale=0.01, size=N)
+    alike, tiny = (estimate_lock_in(volts * unit, 1.0, scale_factor=30 / N) for unit in (1.0, 1e-30))
+    assert flag_names(int(alike.flags)) == flag_names(int(tiny.flags)) == ["rate_wander"]
+    assert abs(float(tiny.lock_in_rate - alike.lock_in_rate)) < 1e-3 * float(alike.lock_in_rate_u)
+
+
+def test_a_square_wave_has_no_phase() -> None:
+    assert first_phase(np.sign(np.sin(2 * np.pi * 20.3 * TIME)), np.ones(N)) is None

@@ -8,7 +8,8 @@ motion may be; small, the equation holds exactly. So a fit that starts large and
 one that stays in between is that of a rate with noise of its own: in a linear problem this is the estimate of
 generalised least squares, and its covariance.
 
-Each Gauss-Newton step solves one tridiagonal system for the phases, with one right side for each parameter.
+Each Gauss-Newton step eliminates the phases one after the other, as Kalman's filter does: what every sample says
+of the parameters is what the samples before it have left open.
 
 A beat is mostly sampled far more often than its phase needs. The means of a few samples are then fitted in their
 place: v_n is C + A (sin(phi) + k d2(sin phi)/dn2) in the middle of them, k = (1 - 1/of^2)/24, and l is of^2 times
@@ -163,8 +164,8 @@ class TrajectoryModel:
         """The sum that is minimised."""
         return float(self.left @ self.left + self.moved @ self.moved / looseness)
 
-    def phases(self, looseness: float) -> tuple[Floats, Floats, Floats]:
-        """D and L of the matrix L D L' of the phases, which is tridiagonal, and their gradient."""
+    def phases(self, looseness: float) -> tuple[Floats, Floats]:
+        """D and L of the matrix L D L' of the phases, which is tridiagonal."""
         tight, along = 1 / looseness, self.steps.by_phase
         diagonal = self.by_phase**2
         diagonal += RIDGE * np.mean(diagonal)
@@ -173,10 +174,14 @@ class TrajectoryModel:
         factor, ratios, failed = lapack.dpttrf(diagonal, -along * tight)
         if failed:
             raise np.linalg.LinAlgError("the phases are not determined")
-        gradient = self.by_phase * self.left
-        gradient[1:] -= self.moved * tight
-        gradient[:-1] += along * self.moved * tight
-        return factor, ratios, gradient
+        return factor, ratios
+
+    def gradient(self, looseness: float, left: Floats, moved: Floats) -> Floats:
+        """Slope of the sum by the phases, with other residuals of samples and steps."""
+        gradient, pull = self.by_phase * left, moved / looseness
+        gradient[1:] -= pull
+        gradient[:-1] += self.steps.by_phase * pull
+        return gradient
 
 
 @dataclass(frozen=True)
@@ -212,13 +217,13 @@ class SampledRecord:
         self.values, self.mask = samples.reshape(-1, of).mean(axis=1), mask.reshape(-1, of).min(axis=1)
         self._bend = (1 - of**-2.0) / 24  # a mean is off by so much of the second derivative
         self._around = np.clip(np.arange(-2, self.values.size + 1), 0, self.values.size - 2)  # with two more
-        self._room = np.empty((3, 0, self.values.size))
+        self._room = np.empty((0, self.values.size))
 
     def room(self, rows: int) -> Floats:
-        """Three arrays (rows, N) for the equations of one step: new ones would cost more than what fills them."""
-        if rows > self._room.shape[1]:
-            self._room = np.empty((3, rows, self.values.size))
-        return self._room[:, :rows]
+        """(rows, N) for the equations of one step: a new array would cost more than what fills it."""
+        if rows > len(self._room):
+            self._room = np.empty((rows, self.values.size))
+        return self._room[:rows]
 
     def fit(self, start: Trajectory | Fitted, looseness: float, iterations: int, enough: float = ENOUGH) -> Fitted:
         """Gauss-Newton from a start; `looseness` is l above, in 1 over squared units of the samples."""
@@ -227,7 +232,7 @@ class SampledRecord:
         cost, converged, n_means = model.cost(looseness), False, float(self.mask.sum())
         for _ in range(iterations):
             equations = _Equations.of(self, now, model, looseness)
-            by_phase, by_parameters, gain = equations.solve()
+            by_phase, by_parameters, gain = equations.solve(now.terms.rate)
             share = min(1.0, LARGEST_TURN / max(float(np.abs(by_phase).max()), 1e-300))
             # At the minimum the cost repeats to rounding.
             little = gain < enough * cost / n_means
@@ -281,8 +286,9 @@ class SampledRecord:
         phase = CubicSpline(places, trajectory.phase)(np.arange(self.samples.size))
         now = Trajectory(phase, parameters, trajectory.terms)
         for _ in range(PHASES_ALONE if looseness else 0):
-            factor, ratios, gradient = whole._model(now).phases(looseness / self.of**2)
-            now = replace(now, phase=now.phase + lapack.dpttrs(factor, ratios, gradient)[0])
+            model, loose = whole._model(now), looseness / self.of**2
+            step = lapack.dpttrs(*model.phases(loose), model.gradient(loose, model.left, model.moved))[0]
+            now = replace(now, phase=now.phase + step)
         return whole._model(now).left
 
     def _model(self, trajectory: Trajectory) -> TrajectoryModel:
@@ -308,15 +314,15 @@ class SampledRecord:
 
 @dataclass(frozen=True)
 class _Equations:
-    """Normal equations with the phases eliminated: tridiagonal for the phases, dense for the parameters."""
+    """Normal equations of the parameters, the phases eliminated, and what the phases then do."""
 
     normal: Floats
     factors: tuple[Floats, NDArray[Any]]  # of the normal matrix with a diagonal of one
     scale: Floats  # that gives it
     gradient: Floats
-    phases: tuple[Floats, Floats, Floats]  # K = L D L' of the phases, and what ties them to each parameter
-    phase_gradient: Floats
-    full_gradient: Floats
+    model: TrajectoryModel
+    looseness: float
+    phases: tuple[Floats, Floats]  # K = L D L' of the phases
     evidence: float
 
     @staticmethod
@@ -324,57 +330,56 @@ class _Equations:
         record: SampledRecord, at: Trajectory, model: TrajectoryModel, looseness: float, *, changing: bool = False
     ) -> _Equations:
         """`changing`: behind s and c what they are times each of the next polynomials."""
-        steps, tight = model.steps, 1 / looseness
-        factor, ratios, phase_gradient = model.phases(looseness)
-        basis = polynomials(record.values.size).means[: at.terms.rate]
-        n_rate, n_more = at.terms.rate, 2 * SLOW_CHANGES if changing else 0
-        n_moved, n_all = n_rate + 2 + n_more, at.terms.count + n_more
-        sides, half, by_step = record.room(n_all)
-        by_step = by_step[:n_moved, :-1]
-        np.multiply(basis, steps.by_rate, out=by_step[:n_rate])
-        by_step[n_rate : n_rate + 2] = steps.by_sine, steps.by_cosine
-        for k in range(1, n_more // 2 + 1):
-            slow = polynomials(record.values.size).means[k]
-            by_step[n_rate + 2 * k : n_rate + 2 * k + 2] = by_step[n_rate : n_rate + 2] * slow
-        normal = np.zeros((n_all, n_all))
-        normal[:n_moved, :n_moved] = tight * (by_step @ by_step.T)
-        normal[n_moved:, n_moved:] = model.by_sample @ model.by_sample.T
-        full_gradient = np.concatenate([tight * (by_step @ model.moved), model.by_sample @ model.left])
-        np.multiply(by_step, steps.by_phase * tight, out=sides[:n_moved, :-1])
-        sides[:n_moved, -1] = 0.0
-        by_step *= tight
-        sides[:n_moved, 1:] -= by_step
-        np.multiply(model.by_sample, model.by_phase, out=sides[n_moved:])
-        # with K = L D L' the product sides K^-1 sides' is a square
-        np.copyto(half, sides)
+        steps, low, n_rate = model.steps, polynomials(record.values.size).means, at.terms.rate
+        n_moved = n_rate + 2 + 2 * SLOW_CHANGES * changing
+        n_all, (factor, ratios) = n_moved + len(model.by_sample), model.phases(looseness)
+        # the reciprocal variance of each phase by the samples up to its own, and by those before
+        known = factor - np.append(steps.by_phase**2 / looseness, 0.0)
+        known = np.maximum(known, model.by_phase**2 + RIDGE * np.mean(model.by_phase**2))
+        before = np.append(0.0, known[:-1] / factor[:-1] / looseness)
+        kept, share = before / known, model.by_phase / known
+        # how the phase expected from those before goes with each parameter, and, in the last row, what is left
+        rows = record.room(n_all + 1)
+        of_steps, of_samples, last = rows[:n_moved, 1:], rows[n_moved:n_all], rows[n_all]
+        np.multiply(low[:n_rate], steps.by_rate, out=of_steps[:n_rate])
+        of_steps[n_rate : n_rate + 2] = steps.by_sine, steps.by_cosine
+        for k in range(1, SLOW_CHANGES * changing + 1):
+            of_steps[n_rate + 2 * k : n_rate + 2 * k + 2] = of_steps[n_rate : n_rate + 2] * low[k]
+        passed_on = steps.by_phase * share[:-1]
+        np.multiply(model.by_sample[:, :-1], -passed_on, out=of_samples[:, 1:])
+        last[1:] = passed_on * model.left[:-1] - model.moved
+        rows[:, 0] = 0.0
         lower = np.ones((2, factor.size))
-        lower[1, :-1] = ratios
-        lapack.dtbtrs(lower, half.T, uplo="L", diag="U", overwrite_b=True)
-        half /= np.sqrt(factor)
-        normal -= half @ half.T
-        evidence = float(np.log(factor).sum() + (record.values.size - 1) * np.log(looseness))
+        lower[1, :-1] = -steps.by_phase * kept[:-1]
+        lapack.dtbtrs(lower, rows.T, uplo="L", diag="U", overwrite_b=True)
+        rows *= model.by_phase
+        of_samples += model.by_sample
+        last -= model.left
+        rows *= np.sqrt(kept)
+        both = rows @ rows.T
+        normal = both[:n_all, :n_all].copy()
         scaled, scale = unit_diagonal(normal)
         upper, pivots, failed = lapack.dgetrf(scaled)
         if failed:
             raise np.linalg.LinAlgError("the parameters are not determined")
-        return _Equations(
-            normal,
-            (upper, pivots),
-            scale,
-            full_gradient - sides @ lapack.dpttrs(factor, ratios, phase_gradient)[0],
-            (factor, ratios, sides),
-            phase_gradient,
-            full_gradient,
-            evidence + float(np.sum(np.log(np.abs(np.diagonal(upper)))) - 2 * np.sum(np.log(scale))),
-        )
+        evidence = float(np.log(factor).sum() + (record.values.size - 1) * np.log(looseness))
+        evidence += float(np.sum(np.log(np.abs(np.diagonal(upper)))) - 2 * np.sum(np.log(scale)))
+        gradient = -both[:n_all, n_all]
+        return _Equations(normal, (upper, pivots), scale, gradient, model, looseness, (factor, ratios), evidence)
 
-    def solve(self) -> tuple[Floats, Floats, float]:
+    def solve(self, n_rate: int) -> tuple[Floats, Floats, float]:
         """Change of the phases and of the parameters, and what they gain if all is linear."""
+        model, steps = self.model, self.model.steps
         by_parameters = self.scale * lapack.dgetrs(*self.factors, self.scale * self.gradient)[0]
-        factor, ratios, sides = self.phases
-        by_phase = lapack.dpttrs(factor, ratios, self.phase_gradient - by_parameters @ sides)[0]
-        gain = float(self.phase_gradient @ by_phase + self.full_gradient @ by_parameters)
-        return by_phase, by_parameters, gain
+        of_rate, (sine, cosine), rest = np.split(by_parameters, [n_rate, n_rate + 2])
+        expected = of_rate @ polynomials(model.left.size).means[:n_rate] * steps.by_rate
+        expected += sine * steps.by_sine + cosine * steps.by_cosine
+        left, moved = model.left - rest @ model.by_sample, model.moved - expected
+        slopes = np.stack(
+            [model.gradient(self.looseness, *some) for some in ((left, moved), (model.left, model.moved))]
+        )
+        by_phase, alone = lapack.dpttrs(*self.phases, slopes.T)[0].T
+        return by_phase, by_parameters, float(slopes[1] @ alone + self.gradient @ by_parameters)
 
 
 # --------------------

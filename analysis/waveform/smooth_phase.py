@@ -147,8 +147,10 @@ class _PathEquations:
 
     def without(self, places: Indices) -> _PathEquations:
         """Without some of the other parameters."""
-        cross, others = np.delete(self.cross, places, axis=2), np.delete(self.others, places, axis=1)
-        others, side = np.delete(others, places, axis=2), np.delete(self.other_side, places, axis=1)
+        kept = np.delete(np.arange(self.other_side.shape[1]), places)
+        parts = self.cross[..., kept], self.others[:, kept][..., kept], self.other_side[:, kept]
+        # copies lie alike, however many records there are: the last digits of products depend on it
+        cross, others, side = (part.copy() for part in parts)
         return _PathEquations(self.band, cross, others, self.path_side, side, self.power)
 
 
@@ -277,6 +279,9 @@ def fit_smooth_phase(values: Floats, mask: Floats, phase: Floats | None = None) 
     # `phase` (R, N): where it is known roughly from something else than the band of the fundamental
     # Clipped samples keep their values: the first path is read from them too.
     # A record of another number of knots is another problem; each has the same digits whoever is beside it.
+    if len(values) == 2 and np.array_equal(values[0], values[1]) and np.array_equal(mask[0], mask[1]):
+        known = None if phase is None else phase[:1]
+        return fit_smooth_phase(values[:1], mask[:1], known).take(np.zeros(2, dtype=np.intp))
     spectra = np.abs(np.fft.rfft(values)) ** 2
     spectra[:, :2] = 0.0
     line = (spectra[:, :-2] + spectra[:, 1:-1] + spectra[:, 2:]).argmax(axis=1) + 1.0
@@ -507,7 +512,7 @@ def _paths(
     covariance[:, 1, 1] += noise
     covariance[:, 2, 2] += noise
     changing = _solved(every.without(np.array([GROWTH])), path, weight, order)
-    changes, of_mean = changing.others[:, CHANGES], np.repeat(2 * np.arange(1, SLOW) + 1.0, 2)
+    changes, of_mean = changing.others[:, 2:GROWTH], np.repeat(2 * np.arange(1, SLOW) + 1.0, 2)
     of_changes = changing.inverse[:, 2:GROWTH, 2:GROWTH] * variance[:, np.newaxis, np.newaxis]
     of_changes += noise[:, np.newaxis, np.newaxis] * np.diag(of_mean)
     chi_square = np.vecdot(changes, np.linalg.solve(of_changes, changes[..., np.newaxis])[..., 0])
@@ -599,7 +604,7 @@ def _above_law(path: Floats, variance: Floats, weight: Floats, order: Ints, know
         by_samples = known[rows, np.newaxis] * spline
         by_law = weight[rows, np.newaxis] * (2 * np.sin(place / 2)) ** (2 * number)
         level = (variance[rows] / weight[rows])[:, np.newaxis]
-        top = place > np.pi / 2
+        top = slice(int(np.count_nonzero(place <= np.pi / 2)), None)
         expected = (by_samples / (by_samples + by_law) * level)[:, top].sum(axis=1)
         found[rows] = (power[:, top].sum(axis=1) + level[:, 0]) / (expected + level[:, 0])
     return found

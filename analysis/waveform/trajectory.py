@@ -20,11 +20,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 from numpy.polynomial import legendre
-from numpy.typing import NDArray
 from scipy.linalg import lapack
 
 from analysis.arrays import Floats
@@ -231,8 +229,11 @@ class SampledRecord:
         model = start.model if isinstance(start, Fitted) else self._model(now)
         cost, converged, n_means = model.cost(looseness), False, float(self.mask.sum())
         for _ in range(iterations):
-            equations = _Equations.of(self, now, model, looseness)
-            by_phase, by_parameters, gain = equations.solve(now.terms.rate)
+            normal, slope, phases = _without_phases(self, now, model, looseness)
+            scaled, scale = unit_diagonal(normal)
+            by_parameters = scale * np.linalg.solve(scaled, scale * slope)
+            by_phase, gain = _phases_with(by_parameters, now, model, looseness, phases)
+            gain += float(slope @ by_parameters)
             share = min(1.0, LARGEST_TURN / max(float(np.abs(by_phase).max()), 1e-300))
             # At the minimum the cost repeats to rounding.
             little = gain < enough * cost / n_means
@@ -254,18 +255,19 @@ class SampledRecord:
                 break
         # one more phase than parameters is free: that of the start
         degrees = max(n_means - now.terms.count - 1, 1.0)
-        evidence = equations.evidence + degrees * np.log(max(cost, 1e-300))
-        return Fitted(now, looseness, cost, degrees, equations.normal, evidence, model, converged)
+        evidence = degrees * np.log(max(cost, 1e-300)) + (self.values.size - 1) * np.log(looseness)
+        evidence += np.log(phases[0]).sum() + np.linalg.slogdet(scaled)[1] - 2 * np.log(scale).sum()
+        return Fitted(now, looseness, cost, degrees, normal, float(evidence), model, converged)
 
     def changes_of_pull(self, fitted: Fitted) -> tuple[Floats, Floats]:
         """What s and c would be times the polynomials from the first to the third, (6,), and its covariance."""
         # One step from the minimum of a fit without such changes.
         at = fitted.trajectory
-        equations = _Equations.of(self, at, fitted.model, fitted.looseness, changing=True)
-        scaled, scale = unit_diagonal(equations.normal)
+        normal, slope, _ = _without_phases(self, at, fitted.model, fitted.looseness, changing=True)
+        scaled, scale = unit_diagonal(normal)
         places = at.terms.rate + 2 + np.arange(2 * SLOW_CHANGES)
         inverse = (np.linalg.inv(scaled) * scale * scale[:, np.newaxis])[places]
-        return inverse @ equations.gradient, inverse[:, places] * fitted.variance
+        return inverse @ slope, inverse[:, places] * fitted.variance
 
     def columns(self, terms: Terms) -> tuple[Floats, Floats]:
         """What A and C are made of, (terms, N) each."""
@@ -312,74 +314,52 @@ class SampledRecord:
         )
 
 
-@dataclass(frozen=True)
-class _Equations:
-    """Normal equations of the parameters, the phases eliminated, and what the phases then do."""
+def _without_phases(
+    record: SampledRecord, at: Trajectory, model: TrajectoryModel, looseness: float, *, changing: bool = False
+) -> tuple[Floats, Floats, tuple[Floats, Floats]]:
+    """Normal matrix and slope of the parameters, the phases eliminated, and D and L of K = L D L' of these."""
+    # `changing`: behind s and c what they are times each of the next polynomials.
+    steps, low, n_rate = model.steps, polynomials(record.values.size).means, at.terms.rate
+    n_moved = n_rate + 2 + 2 * SLOW_CHANGES * changing
+    n_all, (factor, ratios) = n_moved + len(model.by_sample), model.phases(looseness)
+    # the reciprocal variance of each phase by the samples up to its own, and by those before
+    known = factor - np.append(steps.by_phase**2 / looseness, 0.0)
+    known = np.maximum(known, model.by_phase**2 + RIDGE * np.mean(model.by_phase**2))
+    before = np.append(0.0, known[:-1] / factor[:-1] / looseness)
+    kept, passed_on = before / known, steps.by_phase * (model.by_phase / known)[:-1]
+    # how the phase expected from those before goes with each parameter, and, in the last row, what is left of it
+    rows = record.room(n_all + 1)
+    of_steps, of_samples, last = rows[:n_moved, 1:], rows[n_moved:n_all], rows[n_all]
+    np.multiply(low[:n_rate], steps.by_rate, out=of_steps[:n_rate])
+    of_steps[n_rate : n_rate + 2] = steps.by_sine, steps.by_cosine
+    for k in range(1, SLOW_CHANGES * changing + 1):
+        of_steps[n_rate + 2 * k : n_rate + 2 * k + 2] = of_steps[n_rate : n_rate + 2] * low[k]
+    np.multiply(model.by_sample[:, :-1], -passed_on, out=of_samples[:, 1:])
+    last[1:] = passed_on * model.left[:-1] - model.moved
+    rows[:, 0] = 0.0
+    lower = np.ones((2, factor.size))
+    lower[1, :-1] = -steps.by_phase * kept[:-1]
+    lapack.dtbtrs(lower, rows.T, uplo="L", diag="U", overwrite_b=True)
+    rows *= model.by_phase
+    of_samples += model.by_sample
+    last -= model.left
+    rows *= np.sqrt(kept)
+    both = rows @ rows.T
+    return both[:n_all, :n_all], -both[:n_all, n_all], (factor, ratios)
 
-    normal: Floats
-    factors: tuple[Floats, NDArray[Any]]  # of the normal matrix with a diagonal of one
-    scale: Floats  # that gives it
-    gradient: Floats
-    model: TrajectoryModel
-    looseness: float
-    phases: tuple[Floats, Floats]  # K = L D L' of the phases
-    evidence: float
 
-    @staticmethod
-    def of(
-        record: SampledRecord, at: Trajectory, model: TrajectoryModel, looseness: float, *, changing: bool = False
-    ) -> _Equations:
-        """`changing`: behind s and c what they are times each of the next polynomials."""
-        steps, low, n_rate = model.steps, polynomials(record.values.size).means, at.terms.rate
-        n_moved = n_rate + 2 + 2 * SLOW_CHANGES * changing
-        n_all, (factor, ratios) = n_moved + len(model.by_sample), model.phases(looseness)
-        # the reciprocal variance of each phase by the samples up to its own, and by those before
-        known = factor - np.append(steps.by_phase**2 / looseness, 0.0)
-        known = np.maximum(known, model.by_phase**2 + RIDGE * np.mean(model.by_phase**2))
-        before = np.append(0.0, known[:-1] / factor[:-1] / looseness)
-        kept, share = before / known, model.by_phase / known
-        # how the phase expected from those before goes with each parameter, and, in the last row, what is left
-        rows = record.room(n_all + 1)
-        of_steps, of_samples, last = rows[:n_moved, 1:], rows[n_moved:n_all], rows[n_all]
-        np.multiply(low[:n_rate], steps.by_rate, out=of_steps[:n_rate])
-        of_steps[n_rate : n_rate + 2] = steps.by_sine, steps.by_cosine
-        for k in range(1, SLOW_CHANGES * changing + 1):
-            of_steps[n_rate + 2 * k : n_rate + 2 * k + 2] = of_steps[n_rate : n_rate + 2] * low[k]
-        passed_on = steps.by_phase * share[:-1]
-        np.multiply(model.by_sample[:, :-1], -passed_on, out=of_samples[:, 1:])
-        last[1:] = passed_on * model.left[:-1] - model.moved
-        rows[:, 0] = 0.0
-        lower = np.ones((2, factor.size))
-        lower[1, :-1] = -steps.by_phase * kept[:-1]
-        lapack.dtbtrs(lower, rows.T, uplo="L", diag="U", overwrite_b=True)
-        rows *= model.by_phase
-        of_samples += model.by_sample
-        last -= model.left
-        rows *= np.sqrt(kept)
-        both = rows @ rows.T
-        normal = both[:n_all, :n_all].copy()
-        scaled, scale = unit_diagonal(normal)
-        upper, pivots, failed = lapack.dgetrf(scaled)
-        if failed:
-            raise np.linalg.LinAlgError("the parameters are not determined")
-        evidence = float(np.log(factor).sum() + (record.values.size - 1) * np.log(looseness))
-        evidence += float(np.sum(np.log(np.abs(np.diagonal(upper)))) - 2 * np.sum(np.log(scale)))
-        gradient = -both[:n_all, n_all]
-        return _Equations(normal, (upper, pivots), scale, gradient, model, looseness, (factor, ratios), evidence)
-
-    def solve(self, n_rate: int) -> tuple[Floats, Floats, float]:
-        """Change of the phases and of the parameters, and what they gain if all is linear."""
-        model, steps = self.model, self.model.steps
-        by_parameters = self.scale * lapack.dgetrs(*self.factors, self.scale * self.gradient)[0]
-        of_rate, (sine, cosine), rest = np.split(by_parameters, [n_rate, n_rate + 2])
-        expected = of_rate @ polynomials(model.left.size).means[:n_rate] * steps.by_rate
-        expected += sine * steps.by_sine + cosine * steps.by_cosine
-        left, moved = model.left - rest @ model.by_sample, model.moved - expected
-        slopes = np.stack(
-            [model.gradient(self.looseness, *some) for some in ((left, moved), (model.left, model.moved))]
-        )
-        by_phase, alone = lapack.dpttrs(*self.phases, slopes.T)[0].T
-        return by_phase, by_parameters, float(slopes[1] @ alone + self.gradient @ by_parameters)
+def _phases_with(
+    by_parameters: Floats, at: Trajectory, model: TrajectoryModel, looseness: float, phases: tuple[Floats, Floats]
+) -> tuple[Floats, float]:
+    """Change of the phases that goes with one of the parameters, and what phases alone would gain."""
+    steps, n_rate = model.steps, at.terms.rate
+    of_rate, (sine, cosine), rest = np.split(by_parameters, [n_rate, n_rate + 2])
+    expected = of_rate @ polynomials(model.left.size).means[:n_rate] * steps.by_rate
+    expected += sine * steps.by_sine + cosine * steps.by_cosine
+    alone = model.gradient(looseness, model.left, model.moved)
+    both = model.gradient(looseness, model.left - rest @ model.by_sample, model.moved - expected)
+    changes = lapack.dpttrs(*phases, np.stack([both, alone], axis=1))[0]
+    return changes[:, 0], float(alone @ changes[:, 1])
 
 
 # --------------------

@@ -5,6 +5,7 @@ import pytest
 
 from analysis import estimate_lock_in, flag_names, rate_varying_beat
 from analysis.waveform import fit as waveform_fit
+from analysis.waveform.smooth_phase import fit_smooth_phase
 from analysis.waveform.varying_rate import fit_moving_rate, smooth_motions
 from benchmarks.moving import INTERVAL, RATE, WL, K, N, codes_of, ripple, wander
 
@@ -63,6 +64,17 @@ def test_the_spline_finds_what_the_exact_equation_does(name):
     if "cycles" in name:
         beat = 2 * np.pi * K * INTERVAL * np.sqrt(RATE**2 - WL**2)
         assert np.mean(smooth.series.omega) == pytest.approx(beat, rel=1.5e-4)
+
+
+@pytest.mark.parametrize("name", ["wander 1 %", "step of 2 %"])
+def test_a_path_has_the_same_bits_alone_and_beside_others(name):
+    codes = codes_of(np.random.default_rng(16), name, 12)
+    codes -= codes.mean(axis=1, keepdims=True)
+    together = fit_smooth_phase(codes, np.ones_like(codes))
+    for row in range(12):
+        alone = fit_smooth_phase(codes[[row]], np.ones((1, N)))
+        for field, value in vars(together.take(np.array([row]))).items():
+            assert value.tobytes() == getattr(alone, field).tobytes(), field
 
 
 # rms of the phase, cycles in the record (it ends elsewhere than it begins), WL over rate, share that is small

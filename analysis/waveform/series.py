@@ -430,6 +430,8 @@ SUMS_AT_ONCE, DRIFTS_AT_ONCE = 4500, 16
 not count."""
 
 
+ONE_BY_ONE = 16  # powers that are; of more each call makes as many as there are
+
 UNIFORM_PHASES = np.array([1, 1j, 1])[:, np.newaxis]  # factors of `uniform_kernels` for p = 0, 1, 2
 
 
@@ -440,8 +442,14 @@ def harmonic_powers(turn: Phasors, highest: int, lowest: int = 0, axis: int = -1
     powers = np.empty(shape, dtype=turn.dtype)
     by_order = powers.transpose(axis, *(n for n in range(powers.ndim) if n != axis))
     by_order[0] = turn if lowest else 1.0
-    for row in range(1, len(by_order)):
+    done = min(len(by_order), ONE_BY_ONE)
+    for row in range(1, done):
         np.multiply(by_order[row - 1], turn, out=by_order[row])
+    while done < len(by_order):
+        step = by_order[done - 1] if lowest else by_order[done - 1] * turn
+        some = by_order[done : 2 * done]
+        np.multiply(by_order[: len(some)], step, out=some)
+        done += len(some)
     return powers
 
 

@@ -323,9 +323,9 @@ def _without_phases(
     n_moved = n_rate + 2 + 2 * SLOW_CHANGES * changing
     n_all, (factor, ratios) = n_moved + len(model.by_sample), model.phases(looseness)
     # the reciprocal variance of each phase by the samples up to its own, and by those before
-    known = factor - np.append(steps.by_phase**2 / looseness, 0.0)
-    known = np.maximum(known, model.by_phase**2 + RIDGE * np.mean(model.by_phase**2))
-    before = np.append(0.0, known[:-1] / factor[:-1] / looseness)
+    own, ridge = model.by_phase**2, RIDGE * np.mean(model.by_phase**2)
+    known = np.maximum(factor - np.append(steps.by_phase**2 / looseness, 0.0), own + ridge)
+    before = np.append(0.0, known[:-1] / factor[:-1] / looseness) + ridge
     kept, passed_on = before / known, steps.by_phase * (model.by_phase / known)[:-1]
     # how the phase expected from those before goes with each parameter, and, in the last row, what is left of it
     rows = record.room(n_all + 1)

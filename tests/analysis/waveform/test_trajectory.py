@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from analysis.waveform.trajectory import SampledRecord, Terms, Trajectory
+from analysis.waveform.trajectory import SampledRecord, Terms, Trajectory, polynomials
 
 
 @pytest.mark.parametrize(("terms", "looseness"), [(3, 1e-4), (3, 1e-8), (40, 1e-6)])
@@ -26,6 +26,37 @@ def test_one_step_from_beside_the_minimum_reaches_it(terms: int, looseness: floa
     )
     lost = record.fit(beside, looseness, 1).cost / best.cost - 1
     assert abs(lost) < 1e-4
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_the_phases_are_eliminated_as_a_dense_solution_does_it(seed: int) -> None:
+    """Gaps, locked gyros, loose and tight; the reference takes everything at once, by QR."""
+    rng = np.random.default_rng(seed)
+    count, terms = int(rng.integers(40, 90)), Terms(int(rng.integers(1, 9)), 2, 3)
+    parameters = 0.01 * rng.normal(size=terms.count)
+    parameters[0], parameters[terms.rate + 2] = rng.uniform(0.2, 0.9), rng.uniform(1, 100)
+    parameters[terms.rate : terms.rate + 2] = parameters[0] * rng.uniform(-1, 1, 2)
+    phase, mask = np.cumsum(rng.uniform(0.5, 1.5, count) * parameters[0]), np.ones(count)
+    mask[10 : int(rng.integers(10, 30))] = 0.0
+    amplitude, looseness = parameters[terms.rate + 2], 10.0 ** rng.uniform(-7, 0) / parameters[terms.rate + 2] ** 2
+    record = SampledRecord(amplitude * np.sin(phase) + rng.normal(size=count), mask)
+    before = record.fit(Trajectory(phase, parameters, terms), looseness, 1)
+    model, steps, n_rate = before.model, before.model.steps, terms.rate
+    moved = np.zeros((terms.count, count - 1))
+    moved[:n_rate] = polynomials(count).means[:n_rate] * steps.by_rate
+    moved[n_rate : n_rate + 2] = steps.by_sine, steps.by_cosine
+    chain = np.eye(count)[1:] - steps.by_phase[:, np.newaxis] * np.eye(count)[:-1]
+    of_phases = np.concatenate([np.diag(model.by_phase), chain / np.sqrt(looseness)])
+    of_samples = np.concatenate([np.zeros((n_rate + 2, count)), model.by_sample])
+    of_parameters = np.concatenate([of_samples.T, -moved.T / np.sqrt(looseness)])
+    basis, upper = np.linalg.qr(of_phases)
+    rest = of_parameters - basis @ (basis.T @ of_parameters)
+    after = record.fit(before, looseness, 1)
+    scale = np.sqrt(np.diagonal(after.normal))
+    assert np.allclose(after.normal / np.outer(scale, scale), rest.T @ rest / np.outer(scale, scale), atol=1e-6)
+    volume = 2 * np.log(np.abs(np.diagonal(upper))).sum() + np.linalg.slogdet(rest.T @ rest)[1]
+    evidence = volume + (count - 1) * np.log(looseness) + after.degrees * np.log(after.cost)
+    assert after.evidence == pytest.approx(evidence, abs=1e-3)
 
 
 def beat_of_a_record(rng: np.random.Generator, n_samples: int, phase_step: float) -> np.ndarray:

@@ -229,7 +229,7 @@ class SampledRecord:
         model = start.model if isinstance(start, Fitted) else self._model(now)
         cost, converged, n_means = model.cost(looseness), False, float(self.mask.sum())
         for _ in range(iterations):
-            normal, slope, phases = _without_phases(self, now, model, looseness)
+            normal, slope, phases, volume = _without_phases(self, now, model, looseness)
             scaled, scale = unit_diagonal(normal)
             by_parameters = scale * np.linalg.solve(scaled, scale * slope)
             by_phase, gain = _phases_with(by_parameters, now, model, looseness, phases)
@@ -256,14 +256,14 @@ class SampledRecord:
         # one more phase than parameters is free: that of the start
         degrees = max(n_means - now.terms.count - 1, 1.0)
         evidence = degrees * np.log(max(cost, 1e-300)) + (self.values.size - 1) * np.log(looseness)
-        evidence += np.log(phases[0]).sum() + np.linalg.slogdet(scaled)[1] - 2 * np.log(scale).sum()
+        evidence += volume + np.linalg.slogdet(scaled)[1] - 2 * np.log(scale).sum()
         return Fitted(now, looseness, cost, degrees, normal, float(evidence), model, converged)
 
     def changes_of_pull(self, fitted: Fitted) -> tuple[Floats, Floats]:
         """What s and c would be times the polynomials from the first to the third, (6,), and its covariance."""
         # One step from the minimum of a fit without such changes.
         at = fitted.trajectory
-        normal, slope, _ = _without_phases(self, at, fitted.model, fitted.looseness, changing=True)
+        normal, slope, _, _ = _without_phases(self, at, fitted.model, fitted.looseness, changing=True)
         scaled, scale = unit_diagonal(normal)
         places = at.terms.rate + 2 + np.arange(2 * SLOW_CHANGES)
         inverse = (np.linalg.inv(scaled) * scale * scale[:, np.newaxis])[places]
@@ -316,17 +316,18 @@ class SampledRecord:
 
 def _without_phases(
     record: SampledRecord, at: Trajectory, model: TrajectoryModel, looseness: float, *, changing: bool = False
-) -> tuple[Floats, Floats, tuple[Floats, Floats]]:
-    """Normal matrix and slope of the parameters, the phases eliminated, and D and L of K = L D L' of these."""
+) -> tuple[Floats, Floats, tuple[Floats, Floats], float]:
+    """Normal matrix and slope of the parameters without the phases; D and L of K = L D L' of these; log det K."""
     # `changing`: behind s and c what they are times each of the next polynomials.
     steps, low, n_rate = model.steps, polynomials(record.values.size).means, at.terms.rate
     n_moved = n_rate + 2 + 2 * SLOW_CHANGES * changing
     n_all, (factor, ratios) = n_moved + len(model.by_sample), model.phases(looseness)
     # the reciprocal variance of each phase by the samples up to its own, and by those before
-    own, ridge = model.by_phase**2, RIDGE * np.mean(model.by_phase**2)
-    known = np.maximum(factor - np.append(steps.by_phase**2 / looseness, 0.0), own + ridge)
+    ridge, passing = RIDGE * np.mean(model.by_phase**2), np.append(steps.by_phase**2 / looseness, 0.0)
+    known = np.maximum(factor - passing, model.by_phase**2 + ridge)
+    volume = float(np.log(known + passing).sum())
     before = np.append(0.0, known[:-1] / factor[:-1] / looseness) + ridge
-    kept, passed_on = before / known, steps.by_phase * (model.by_phase / known)[:-1]
+    kept, passed_on = np.minimum(before / known, 1.0), steps.by_phase * (model.by_phase / known)[:-1]
     # how the phase expected from those before goes with each parameter, and, in the last row, what is left of it
     rows = record.room(n_all + 1)
     of_steps, of_samples, last = rows[:n_moved, 1:], rows[n_moved:n_all], rows[n_all]
@@ -345,7 +346,7 @@ def _without_phases(
     last -= model.left
     rows *= np.sqrt(kept)
     both = rows @ rows.T
-    return both[:n_all, :n_all], -both[:n_all, n_all], (factor, ratios)
+    return both[:n_all, :n_all], -both[:n_all, n_all], (factor, ratios), volume
 
 
 def _phases_with(

@@ -28,16 +28,16 @@ def test_one_step_from_beside_the_minimum_reaches_it(terms: int, looseness: floa
     assert abs(lost) < 1e-4
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", range(16))
 def test_the_phases_are_eliminated_as_a_dense_solution_does_it(seed: int) -> None:
     """Gaps, locked gyros, loose and tight; the reference takes everything at once, by QR."""
     rng = np.random.default_rng(seed)
-    count, terms = int(rng.integers(40, 90)), Terms(int(rng.integers(1, 9)), 2, 3)
+    count, terms = int(rng.integers(120, 200)), Terms(int(rng.integers(1, 9)), 2, 3)
     parameters = 0.01 * rng.normal(size=terms.count)
     parameters[0], parameters[terms.rate + 2] = rng.uniform(0.2, 0.9), rng.uniform(1, 100)
     parameters[terms.rate : terms.rate + 2] = parameters[0] * rng.uniform(-1, 1, 2)
     phase, mask = np.cumsum(rng.uniform(0.5, 1.5, count) * parameters[0]), np.ones(count)
-    mask[10 : int(rng.integers(10, 30))] = 0.0
+    mask[10 * (seed % 2) : int(rng.integers(25, 45))] = 0.0
     amplitude, looseness = parameters[terms.rate + 2], 10.0 ** rng.uniform(-7, 0) / parameters[terms.rate + 2] ** 2
     record = SampledRecord(amplitude * np.sin(phase) + rng.normal(size=count), mask)
     before = record.fit(Trajectory(phase, parameters, terms), looseness, 1)

@@ -263,9 +263,8 @@ def _judged(
     asked |= ~fatal & (power > LARGE * beat_power)
     # A residual as small as this cannot come from a motion that would move the ratio.
     asked &= power > TRACKED_FROM**2 * np.abs(series.first) ** 2 * count
-    motions = _followed(
-        records, masks, series, np.flatnonzero(asked), fatal, repeated, power / np.maximum(free, 1)
-    )
+    variance = power / np.maximum(free, 1)
+    motions = _followed(records, masks, series, np.flatnonzero(asked), flags, fatal, variance)
     for rows, moved, again, is_small in motions:
         sidebands = power[rows] / beat_power[rows]
         series.put(rows, moved.series)
@@ -351,11 +350,12 @@ def _look_closer(
 
 
 def _followed(
-    records: Records, masks: Masks, series: Series, rows: Indices, fatal: Bools, repeated: Bools, variance: Floats
+    records: Records, masks: Masks, series: Series, rows: Indices, flags: Ints, fatal: Bools, variance: Floats
 ) -> Iterator[tuple[Indices, MovingFits, ResidualReport, bool]]:
     """Those of some records that a motion explains, with what it leaves of them."""
-    # and whether it is so small that a steady rate is not far; variance (R,): that of a fit at a steady rate
-    n_samples = records.values.shape[1]
+    # and whether it is so small that a steady rate is not far; variance (R,): that of a fit at a steady rate. The
+    # flags (R,) get that of a misfit where a beat stops
+    n_samples, repeated = records.values.shape[1], (flags & int(Flag.ROUNDING_REPEATS)) != 0
 
     def left_by_motion(rows: Indices, moved: MovingFits) -> ResidualReport:
         # What noise of the rate leaves is white only together with that noise.
@@ -393,7 +393,8 @@ def _followed(
         for by_crests in (False, True):
             if by_crests:  # a motion so wide that the fundamental has no band of its own is read from them
                 seen = {place: first_phase(values[place], mask[place]) for place in tried.tolist()}
-                crests = {place: found.phase for place, found in seen.items() if found and found.uneven < UNEVEN}
+                even = {place: one for place, one in seen.items() if one and not one.stops and one.uneven < UNEVEN}
+                crests = {place: one.phase for place, one in even.items()}
                 tried = never_alone(np.array(list(crests), dtype=np.intp))
                 phase = np.array([crests[place] for place in tried.tolist()])
             if not tried.size:
@@ -416,10 +417,12 @@ def _followed(
         fits: dict[bytes, MovingFits | None] = {}  # a record that is alone stands here twice
         for place in np.flatnonzero(undone)[np.unique(some[undone], return_index=True)[1]].tolist():
             row, key = some[[place]], values[place].tobytes() + mask[place].tobytes()
-            if not records.exact[row[0]]:
+            if (known := seen.get(place)) and known.stops:
+                flags[row] |= Flag.MISFIT
+            if not records.exact[row[0]] or (place in seen and (known is None or known.stops)):
                 continue
             if key not in fits:
-                fits[key] = fit_moving_rate(values[place], mask[place], seen.get(place))
+                fits[key] = fit_moving_rate(values[place], mask[place], known)
             exactly = fits[key]
             if exactly is None or exactly.variance[0] > WORTH_MOVING * variance[row[0]]:
                 continue

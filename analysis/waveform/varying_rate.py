@@ -111,7 +111,7 @@ class MovingFits(Stacked):
 
 def fit_moving_rate(values: Floats, mask: Floats, seen: FirstPhase | None = None) -> MovingFits | None:
     """Fit one record by the exact equation, whatever its rate does; `seen`: where that is known already."""
-    if seen is None and (seen := first_phase(values, mask)) is None:
+    if (seen is None and (seen := first_phase(values, mask)) is None) or seen.stops:
         return None
     # so many samples stand for each other that enough means are left of a turn, and of the samples beside gaps
     quarter = max(int(mask.size * np.pi / 2 / np.ptp(seen.phase)), 1)
@@ -441,7 +441,8 @@ def matched_motion(phase: Floats, weights: Floats, terms: int) -> tuple[Floats, 
 
 SWUNG = 0.25  # share of the amplitude by which the signal must cross its middle to begin the next half period
 REACHED = 0.9  # share of the amplitude from which on the first and the last extreme of a record count as a crest
-SQUARE = 0.95  # share of the samples that no beat has beyond that: all of them are clipped
+STOPPED, STILL = 3.0, 0.07  # turns of the others in which a beat moves by less than this share of its amplitude
+SQUARE = 0.95  # share of the samples that no beat has at its two ends: all of them are clipped
 QUIET = 0.06  # noise over amplitude at which crests are found without smoothing
 KEPT_LINES = 3  # smoothing keeps at least so many times the frequency of the strongest line
 
@@ -465,6 +466,7 @@ class FirstPhase:
     offset: Floats
     trusted: Bools  # (N,) samples at which the step, if there is one, leaves no doubt about the phase
     step: int | None  # number of the first sample behind a step of the offset, or None
+    stops: bool  # for more than a turn: locked, blocked, or no beat
 
     @property
     def uneven(self) -> float:
@@ -476,8 +478,12 @@ class FirstPhase:
 
 def first_phase(values: Floats, mask: Floats) -> FirstPhase | None:
     """Read the phase of one centred record (N,); `mask` is 0 where a sample is missing. None: there is no beat."""
+    from scipy.ndimage import maximum_filter1d, minimum_filter1d  # takes longer to import than all else here
+
     valid = mask > 0
-    places = np.arange(values.size)
+    places, seen = np.arange(values.size), values[valid]
+    if np.mean((seen == seen.max(initial=-np.inf)) | (seen == seen.min(initial=np.inf))) > SQUARE:
+        return None
     filled = values if valid.all() else np.interp(places, places[valid], values[valid])
     smooth = _smoothed(filled)
     middle, half = (smooth.max() + smooth.min()) / 2, np.ptp(smooth) / 2
@@ -493,8 +499,6 @@ def first_phase(values: Floats, mask: Floats) -> FirstPhase | None:
     if not np.all(amplitude > 0):
         return None
     level = np.clip((smooth - offset) / amplitude, -1.0, 1.0)
-    if np.mean(np.abs(level[valid]) > REACHED) > SQUARE:
-        return None
     passed = crests.copy()
     reached = np.abs(level[crests]) > REACHED
     if passed[0] == 0 or not reached[0]:
@@ -512,7 +516,13 @@ def first_phase(values: Floats, mask: Floats) -> FirstPhase | None:
             turns = np.rint((expected - (phase[stop] - phase[start - 1])) / (2 * np.pi))
             phase[start:stop] += np.linspace(0, 2 * np.pi * turns, stop - start)
             phase[stop:] += 2 * np.pi * turns
-    return FirstPhase(phase, amplitude, offset, trusted, step)
+    # where it stops
+    long = int(STOPPED * 2 * np.median(np.diff(crests)))
+    lowest, highest = (np.where(valid, smooth, nothing) for nothing in (-np.inf, np.inf))
+    moved = maximum_filter1d(highest, long) - minimum_filter1d(lowest, long)
+    inside = slice(long // 2 + 1, smooth.size - long // 2 - 1)
+    stops = bool(np.any(moved[inside] < STILL * amplitude[inside]))
+    return FirstPhase(phase, amplitude, offset, trusted, step, stops)
 
 
 def _smoothed(values: Floats) -> Floats:

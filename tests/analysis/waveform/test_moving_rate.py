@@ -385,3 +385,21 @@ def test_a_small_motion_is_as_well_seen_in_any_unit() -> None:
 
 def test_a_square_wave_has_no_phase() -> None:
     assert first_phase(np.sign(np.sin(2 * np.pi * 20.3 * TIME)), np.ones(N)) is None
+
+
+@pytest.mark.parametrize("periods", [40.3, 120.7])
+def test_a_beat_that_stops_is_a_misfit_and_one_that_slows_down_is_not(periods: float) -> None:
+    """A blocked beam holds a level for some turns; a rate that falls to a tenth for a while still turns."""
+    rng = np.random.default_rng(3)
+    k = periods / N / np.sqrt(1 - X * X / 16)
+    dips = 1 + 0.9 * np.cos(2 * np.pi * 3 * TIME[1:])
+    slow, even = (
+        rate_varying_beat(rate, 1.0, scale_factor=k, lock_in_rate=X / 4, amplitude=90.0, initial_phase=1.0)
+        for rate in (dips, np.ones(N - 1))
+    )
+    codes = np.rint(np.stack([slow, even]) + rng.normal(size=(2, N)))
+    stop = int(5 * N / periods)
+    codes[1, 900 : 900 + stop] = np.rint(codes[1, 900] + rng.normal(size=stop))
+    assert [first_phase(one - one.mean(), np.ones(N)).stops for one in codes] == [False, True]
+    found = estimate_lock_in(codes, 1.0, scale_factor=k)
+    assert [Flag.MISFIT in Flag(int(one)) for one in found.flags] == [False, True]

@@ -215,13 +215,6 @@ class SampledRecord:
         self.values, self.mask = samples.reshape(-1, of).mean(axis=1), mask.reshape(-1, of).min(axis=1)
         self._bend = (1 - of**-2.0) / 24  # a mean is off by so much of the second derivative
         self._around = np.clip(np.arange(-2, self.values.size + 1), 0, self.values.size - 2)  # with two more
-        self._room = np.empty((0, self.values.size))
-
-    def room(self, rows: int) -> Floats:
-        """(rows, N) for the equations of one step: a new array would cost more than what fills it."""
-        if rows > len(self._room):
-            self._room = np.empty((rows, self.values.size))
-        return self._room[:rows]
 
     def fit(self, start: Trajectory | Fitted, looseness: float, iterations: int, enough: float = ENOUGH) -> Fitted:
         """Gauss-Newton from a start; `looseness` is l above, in 1 over squared units of the samples."""
@@ -329,7 +322,7 @@ def _without_phases(
     before = np.append(0.0, known[:-1] / factor[:-1] / looseness) + ridge
     kept, passed_on = np.minimum(before / known, 1.0), steps.by_phase * (model.by_phase / known)[:-1]
     # how the phase expected from those before goes with each parameter, and, in the last row, what is left of it
-    rows = record.room(n_all + 1)
+    rows = np.empty((n_all + 1, record.values.size))
     of_steps, of_samples, last = rows[:n_moved, 1:], rows[n_moved:n_all], rows[n_all]
     np.multiply(low[:n_rate], steps.by_rate, out=of_steps[:n_rate])
     of_steps[n_rate : n_rate + 2] = steps.by_sine, steps.by_cosine

@@ -625,8 +625,9 @@ _FIRST_LOOK, _LOOKED_AT, _OF_PART = 8, 3, 20  # evaluations of a first look, how
 _ALIKE = 0.02  # of logarithms, and rad: ends of two looks that are one
 _BROAD = 0.3  # u of ln(a2/a1) or of the angle over that beforehand, from which one bell would not do
 _PART, _APART = 0.6, 4.0  # of what is usual, that of a part; u between valleys that are not parts of one
-_PLACES = np.array(list(product((0.35, 1.75, 1.05), (-1.75, 1.75, -1.05, -0.35, 0.35, 1.05))))
-_CORNERS, _SAME = [0, 1, 6, 7], 0.25  # of these; share of its u by which the coupling is the same at all of them
+_ANGLE_PLACES = (-1.75, -1.05, -0.35, 0.35, 1.05, 1.75)
+_PLACES = np.array([(m, n * way) for m, way in ((0.35, 1), (1.05, -1), (1.75, 1)) for n in _ANGLE_PLACES])
+_CORNERS, _SAME = _PLACES[[0, 5, 12, 17]], 0.25  # share of its u by which the coupling is the same at all of them
 
 
 def beat_data(points: Points, bench: BenchKnowledge) -> LaserData:
@@ -650,24 +651,29 @@ def lasers_of_beat(points: Points, starts: Floats, known: Prior, bench: BenchKno
     apart = bool(np.any(np.abs(sizes[:, 0] - sizes[0, 0]) > _APART * sizes[:, 1].max()))
     if apart or not np.any(best.unequal_u > _BROAD * np.array(usual)):
         return found
-    # What is known beforehand is a sum of narrower bells, each of which has a minimum of its own
-    parts, done, width = list[LaserFit](), list[int](), np.array(usual) * _PART
-    for number in sorted(range(len(_PLACES)), key=lambda number: number not in _CORNERS):
-        sizes = np.array([best.coupling(1.0)[0], *(one.coupling(1.0)[0] for one in parts)])
-        if len(done) == len(parts) == len(_CORNERS) and np.all(np.ptp(sizes[:, :2], axis=0) < _SAME * sizes[0, 1]):
-            return found
-        place = _PLACES[number]
-        away = [float(np.hypot(*(place - _PLACES[one]))) for one in done]
-        near = parts[int(np.argmin(away))] if parts else best
-        about = place * usual
-        part = replace(best.model.data, usual=tuple(width), about=tuple(about))
-        coupling = complex(_backscatter(near.parameters[FIRST]) + _backscatter(near.parameters[SECOND]))
-        start = np.concatenate([_backscatters(coupling, about[1], about[0]), near.parameters[4:]])
-        if (end := search(model := near.model.of(part), start, _OF_PART, _ROUGHLY)) is not None:
-            near = LaserFit.at(model, end[0])
+    # What is known beforehand is a sum of narrower bells, each of which has a minimum of its own; where the
+    # coupling is the same at all corners one does
+    corners = [_of_part(best, best, place) for place in _CORNERS]
+    sizes = np.array([one.coupling(1.0)[0] for one in (best, *corners) if one])
+    if None not in corners and np.all(np.ptp(sizes[:, :2], axis=0) < _SAME * sizes[0, 1]):
+        return found
+    parts, near = list[LaserFit](), best
+    for place in _PLACES:
+        if (end := _of_part(best, near, place)) is not None:
+            near = end
             parts.append(replace(near, chi_square=near.chi_square + float(place @ place) / (1 - _PART**2)))
-            done.append(number)
     return sorted(parts, key=lambda one: one.chi_square) or [best]
+
+
+def _of_part(best: LaserFit, near: LaserFit, place: Floats) -> LaserFit | None:
+    """The minimum of a narrower bell about a place, from one near to it."""
+    usual = np.array(best.model.data.usual)
+    about = place * usual
+    part = replace(best.model.data, usual=tuple(usual * _PART), about=tuple(about))
+    coupling = complex(_backscatter(near.parameters[FIRST]) + _backscatter(near.parameters[SECOND]))
+    start = np.concatenate([_backscatters(coupling, about[1], about[0]), near.parameters[4:]])
+    end = search(model := near.model.of(part), start, _OF_PART, _ROUGHLY)
+    return None if end is None else LaserFit.at(model, end[0])
 
 
 def _looked(data: LaserData, starts: Floats) -> list[LaserFit]:

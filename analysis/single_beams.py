@@ -207,9 +207,9 @@ def fit_beams(
     NoFit
         No record with a beam that can be used, or no laser that fits the records.
     """
-    gathered = gather(fit.each.records)
+    gathered = gather(fit.records)
     # drifts of the beat's fit may stand for what it does not know
-    steady = np.where(np.arange(fit.each.parameters.shape[1]) > SENSES, 0.0, fit.each.parameters)
+    steady = np.where(np.arange(fit.parameters.shape[1]) > SENSES, 0.0, fit.parameters)
     scatter, degrees = gathered.scatter(steady, turning=True)
     if degrees > 0 and float(scipy.special.chdtrc(degrees, scatter)) < UNLIKELY:
         gathered = with_noise(gathered, (scatter / degrees - 1) * gathered.covariance)

@@ -57,7 +57,6 @@ from analysis.several_rates.ratio_model import (
     with_distortion_alone,
 )
 from analysis.several_rates.result import (
-    FittedRecords,
     Model,
     ModelFit,
     RatesAnswer,
@@ -164,7 +163,7 @@ def fit_rates(
     if in_order is not None:
         return found
     # where records of one rate and sense differ by more than their noise, something may have drifted
-    scatter, degrees = gather(found.each.records).scatter(found.each.parameters)
+    scatter, degrees = gather(found.records).scatter(found.parameters)
     if degrees > 0 and float(scipy.special.chdtrc(degrees, scatter)) < UNLIKELY:
         drifting = fit(True)
         return found if drifting.flags & RatesFlag.MISFIT else drifting
@@ -175,8 +174,8 @@ def fit_again(
     fit: RatesFit, *, factor: Callable[[Floats], Complexes], receiver: BenchKnowledge | None = None
 ) -> RatesFit:
     """The fit of the same records, with the ratio of each times a factor of its beat frequency."""
-    records = fit.each.records.records.times(factor)
-    return _fit(records, fit.each.records.rate_u, fit.reference, fit.model, receiver)
+    records = fit.records.records.times(factor)
+    return _fit(records, fit.records.rate_u, fit.reference, fit.model, receiver)
 
 
 def fit_rate_ratios(
@@ -512,7 +511,8 @@ def _result(
         p_value=p_value,
         cost=lock_in_u(fit) / lock_in_u(fits.get("lock-in", fit)),
         left_out=leave_out(points, fit, prior),
-        each=FittedRecords(points.records, fit.parameters, said.value),
+        records=points.records,
+        parameters=fit.parameters,
         at_least=at_least,
         flags=0,
         noise_model=records.noise_model + (UNEVEN if points.uneven else "") + (ENLARGED if widen > 1 else ""),
@@ -668,7 +668,7 @@ def rates_flags(fit: RatesFit, records: RatioRecords, *, tested: bool, explained
     distorted = next((m.lock_in_rate_u for m in fit.models if m.model == "distortion"), u)
     rate, mismatch = fit.rate, fit.rate_mismatch
     no_beat_above = np.abs(rate[fit.locked]) > fit.lock_in_rate_high_95
-    rate_u = fit.each.records.rate_u
+    rate_u = fit.records.rate_u
     disagree = rates_differ(rate, size, u, mismatch, rate_u) or mismatch_of_all(rate, size, u, mismatch) != 0
     disagree = (disagree and not explained) or bool(np.any(inconsistent_rate(records, rate_u)))
     by_third_order = abs(fit.third_order) > EXPLAINED * fit.third_order_u

@@ -101,57 +101,6 @@ class WithoutOneRate:
     p_value: Floats
 
 
-@dataclass(frozen=True, eq=False)
-class FittedRecords:
-    """The n records of a fit and what it says of each, worked out when asked for: a million take much memory."""
-
-    records: UsedRecords = field(repr=False)  # UsedRecords
-    parameters: Floats  # (1, N_PARAMETERS) of the fit
-    lock_in_rate: float  # deg/s
-
-    @property
-    def rate(self) -> Floats:
-        """deg/s, signed."""
-        return self.records.records.rate
-
-    @property
-    def used(self) -> Bools:
-        """Records in the fit."""
-        return self.records.used
-
-    @property
-    def locked(self) -> Bools:
-        """Records without a beat."""
-        return self.records.records.locked
-
-    @property
-    def ratio(self) -> Complexes:
-        """rho."""
-        return np.concatenate([block.ratio for _, block in self.records.records.blocks()])
-
-    @property
-    def residual(self) -> Complexes:
-        """What the fit leaves of the ratio; nan where it was not used."""
-        found = np.full(self.used.shape, np.nan, dtype=np.complex128)
-        for rows, data, _ in self.records.data():
-            found[rows] = (data.ratio - predicted_ratio(self.parameters, data))[0]
-        return found
-
-    @property
-    def deviation(self) -> Floats:
-        """The same in standard uncertainties: the root of its chi-square."""
-        found = np.full(self.used.shape, np.nan)
-        for rows, data, _ in self.records.data():
-            white = whitened(self.parameters, data)[0][0]
-            found[rows] = np.hypot(white[:, 0], white[:, 1])
-        return found
-
-    @property
-    def rate_mismatch(self) -> Floats:
-        """f/(K sqrt(W^2 - WL^2)) - 1; nan where it is not known."""
-        return rate_mismatch(self.records.records, self.lock_in_rate, float(self.parameters[0, DRIFT]))
-
-
 @dataclass(frozen=True)
 class RatesFit:
     """Lock-in rate of many records at several rates.
@@ -184,7 +133,8 @@ class RatesFit:
         was known beforehand; the last is the smaller of that and of the chance of the scatter about those means
     cost : uncertainty over that of the same data with distortion and gain corner known
     left_out : the leave-one-rate-out check; empty arrays where the others would not determine the lock-in rate
-    each : every record as given; worked out when asked for
+    records, parameters : every record as given, and (1, 10) parameters of the fit: what it says of each record is
+        worked out when asked for, since a million take much memory
     at_least : deg/s, the fastest rate at which the gyro was seen locked, 0 if none
     flags : bits of `RatesFlag`
     noise_model : what the uncertainties rest on
@@ -225,7 +175,8 @@ class RatesFit:
     p_value: float
     cost: float
     left_out: WithoutOneRate
-    each: FittedRecords
+    records: UsedRecords = field(repr=False)
+    parameters: Floats
     at_least: float
     flags: int
     noise_model: str
@@ -233,7 +184,7 @@ class RatesFit:
     @property
     def rate(self) -> Floats:
         """Of every record, deg/s, signed, (n,)."""
-        return self.each.rate
+        return self.records.records.rate
 
     @property
     def n_rates(self) -> int:
@@ -244,32 +195,39 @@ class RatesFit:
     @property
     def ratio(self) -> Complexes:
         """rho of every record, (n,)."""
-        return self.each.ratio
+        return np.concatenate([block.ratio for _, block in self.records.records.blocks()])
 
     @property
     def residual(self) -> Complexes:
         """What the fit leaves of the ratio of every record, (n,); nan where it was not used."""
-        return self.each.residual
+        found = np.full(self.used.shape, np.nan, dtype=np.complex128)
+        for rows, data, _ in self.records.data():
+            found[rows] = (data.ratio - predicted_ratio(self.parameters, data))[0]
+        return found
 
     @property
     def deviation(self) -> Floats:
         """The same in standard uncertainties: the root of its chi-square."""
-        return self.each.deviation
+        found = np.full(self.used.shape, np.nan)
+        for rows, data, _ in self.records.data():
+            white = whitened(self.parameters, data)[0][0]
+            found[rows] = np.hypot(white[:, 0], white[:, 1])
+        return found
 
     @property
     def used(self) -> Bools:
         """Which records are in the fit, (n,)."""
-        return self.each.used
+        return self.records.used
 
     @property
     def locked(self) -> Bools:
         """Records without a beat, which say WL >= |W|, (n,)."""
-        return self.each.locked
+        return self.records.records.locked
 
     @property
     def rate_mismatch(self) -> Floats:
         """f/(K sqrt(W^2 - WL^2)) - 1 of every record, (n,); nan where it is not known."""
-        return self.each.rate_mismatch
+        return rate_mismatch(self.records.records, self.lock_in_rate, float(self.parameters[0, DRIFT]))
 
     @property
     def gain_corner_hz(self) -> float:

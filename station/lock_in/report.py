@@ -417,7 +417,7 @@ def _seen_at(rates: Array, fit: RatesFit, scale_factor: float) -> Array:
         third_weight=np.zeros(rates.shape),
         reference="rate",
     )
-    return lock_in_from_rate(np.abs(predicted_ratio(fit.each.parameters, data))[0], rates)
+    return lock_in_from_rate(np.abs(predicted_ratio(fit.parameters, data))[0], rates)
 
 
 def beams_svg(beams: BeamsFit) -> str:

@@ -386,7 +386,7 @@ def test_no_beam_is_no_fit():
     with pytest.raises(NoFit, match="single beam"):
         fit_beams(alone, nothing, KNOWN)
     # and beams that no laser has: the reason is told
-    sense = np.sign(alone.each.records.records.rate)[:, np.newaxis]
+    sense = np.sign(alone.records.records.rate)[:, np.newaxis]
     with pytest.raises(NoFit, match="too strong for its gain"):
         fit_beams(alone, replace(swing, modulation=swing.modulation * np.where(sense > 0, 5.0, 0.02)), KNOWN)
 

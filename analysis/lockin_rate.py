@@ -82,26 +82,15 @@ def estimate_lock_in(
         raise ValueError(f"scale_factor must be positive (pulses per degree), not {scale_factor!r}")
     lock_in_from_rate(0.0, 1.0, relation)  # an unknown relation is an error before any work is done
     stack = as_stack(volts, sample_interval, nan_policy)
-    rate = _given_rate(input_rate, stack.shape)
-    mask = None
+    shape, n_records, rate, mask = stack.shape, len(stack.volts), _given_rate(input_rate, stack.shape), None
     if clipped is not None:
-        full = np.broadcast_to(np.asarray(clipped, dtype=bool), (*stack.shape, stack.n_samples))
+        full = np.broadcast_to(np.asarray(clipped, dtype=bool), (*shape, stack.n_samples))
         mask = full.reshape(-1, stack.n_samples)
     if full_amplitude is not None:
-        full_amplitude = np.broadcast_to(np.asarray(full_amplitude, dtype=np.float64), stack.shape).ravel()
-    if len(stack.volts) == 1:
-        rows = never_alone(np.zeros(1, dtype=np.intp))
-        return estimate_lock_in(
-            stack.volts[rows],
-            sample_interval,
-            scale_factor=scale_factor,
-            input_rate=None if rate is None else rate[rows],
-            relation=relation,
-            clipped=None if mask is None else mask[rows],
-            full_amplitude=None if full_amplitude is None else full_amplitude[rows],
-            nan_policy=nan_policy,
-            mains_hz=mains_hz,
-        )[0].reshaped(*stack.shape)
+        full_amplitude = np.broadcast_to(np.asarray(full_amplitude, dtype=np.float64), shape).ravel()
+    if n_records == 1:
+        stack = replace(stack, volts=stack.volts[[0, 0]])  # see `never_alone`
+        rate, mask = (None if one is None else one[[0, 0]] for one in (rate, mask))
     fit = fit_waveform(stack, mask)
     third, third_u = _third_harmonic(fit, stack.n_samples)
     with np.errstate(all="ignore"):  # records without a beat divide by zero; their flags are fatal
@@ -131,7 +120,7 @@ def estimate_lock_in(
     fatal = (flags & int(FATAL)) != 0
 
     def shaped(values: Floats) -> Floats:
-        return np.asarray(np.where(fatal, np.nan, values)).reshape(stack.shape)
+        return np.where(fatal, np.nan, values)[:n_records].reshape(shape)
 
     sense = np.where(rate < 0, -1.0, 1.0) if rate is not None else np.ones(beat.size.shape)
     own_rate = input_rate_from_beat(beat.ratio, beat.frequency / scale_factor)
@@ -145,25 +134,25 @@ def estimate_lock_in(
         lock_in_rate_u=shaped(value_u),
         lock_in_rate_low_95=shaped(low),
         lock_in_rate_high_95=shaped(high),
-        input_rate=shaped(own_rate) if rate is None else rate.reshape(stack.shape),
+        input_rate=shaped(own_rate) if rate is None else rate[:n_records].reshape(shape),
         beat_frequency=shaped(beat.frequency),
         beat_frequency_u=shaped(beat.frequency_u),
         ratio=shaped(beat.ratio),
         ratio_u=shaped(beat.ratio_u),
         misfit_u=shaped(beat.misfit),
-        complex_ratio=np.where(fatal, complex(np.nan, np.nan), beat.rho).reshape(stack.shape),
-        complex_ratio_covariance=np.where(fatal[:, np.newaxis, np.newaxis], np.nan, beat.rho_covariance).reshape(
-            *stack.shape, 2, 2
-        ),
+        complex_ratio=np.where(fatal, complex(np.nan, np.nan), beat.rho)[:n_records].reshape(shape),
+        complex_ratio_covariance=np.where(fatal[:, np.newaxis, np.newaxis], np.nan, beat.rho_covariance)[
+            :n_records
+        ].reshape(*shape, 2, 2),
         backscatter_phase=shaped(backscatter_phase(beat.rho, sense)),
         amplitude=shaped(beat.amplitude),
-        noise_rms=fit.noise_rms.reshape(stack.shape),
-        third_harmonic=third.reshape(stack.shape),
-        third_harmonic_u=third_u.reshape(stack.shape),
+        noise_rms=fit.noise_rms[:n_records].reshape(shape),
+        third_harmonic=third[:n_records].reshape(shape),
+        third_harmonic_u=third_u[:n_records].reshape(shape),
         periods=shaped(beat.periods),
-        records=(~fatal).astype(np.int64).reshape(stack.shape),
-        records_rejected=fatal.astype(np.int64).reshape(stack.shape),
-        flags=flags.reshape(stack.shape),
+        records=(~fatal[:n_records]).astype(np.int64).reshape(shape),
+        records_rejected=fatal[:n_records].astype(np.int64).reshape(shape),
+        flags=flags[:n_records].reshape(shape),
         scale_factor=float(scale_factor),
         relation=relation,
         rate_given=rate is not None,

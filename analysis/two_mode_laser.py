@@ -19,9 +19,9 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import TypeVar
 
 import numpy as np
+from numpy.polynomial import polynomial
 
 from analysis.arrays import Bools, Complexes, Floats, Indices, NoFit
 
@@ -404,12 +404,11 @@ def _over_a_period(harmonics: Complexes) -> Complexes:
 # The grid is even in the logarithm of sqrt(W^2 - WL^2), on which everything about a beat depends smoothly
 
 
-X = TypeVar("X", float, Floats)
-
 STEP = 0.05
 FINER = 100
 """Points of a finer grid in one step: between them straight lines are good to 1e-7 of a second harmonic."""
 _OFFSETS = (-2.0, -1.0, 0.0, 1.0, 2.0, 3.0)  # six points around a place between 0 and 1
+_TO_POWERS = np.linalg.inv(np.vander(_OFFSETS, increasing=True))  # makes a polynomial of what stands at these
 _LOWEST_DPS = 1e-9
 
 
@@ -431,33 +430,24 @@ def interpolate(rates: Floats, lock_in_rate: float, at_point: Callable[[int, Ind
     values = np.empty(rates.shape)
     for cell in np.unique(cells):
         inside = np.flatnonzero(cells == cell)
-        weights = six_weights(place[inside] - cell)
-        values[inside] = sum(
-            weight * at_point(int(cell + offset), inside) for offset, weight in zip(_OFFSETS, weights, strict=True)
-        )
+        at_points = np.array([at_point(int(cell + offset), inside) for offset in _OFFSETS])
+        values[inside] = polynomial.polyval(place[inside] - cell, _TO_POWERS @ at_points, tensor=False)
     return values
 
 
 def weights_at(place: float) -> list[tuple[int, float]]:
     """Points of the grid around one place, and their weights."""
     cell = math.floor(place)
-    weights = six_weights(place - cell)
+    weights = six_weights(np.array([place - cell]))[0].tolist()
     return [(int(cell + offset), weight) for offset, weight in zip(_OFFSETS, weights, strict=True)]
+
+
+def six_weights(places: Floats) -> Floats:
+    """Weights of the points -2, -1, ... 3 around places (n,) between 0 and 1, (n, 6)."""
+    return np.asarray(np.vander(places, len(_OFFSETS), increasing=True) @ _TO_POWERS)
 
 
 def grid_place(size: Floats, lock_in_rate: float) -> Floats:
     """Places on the grid, in steps of it, of rates (deg/s, positive) beyond the lock-in rate."""
     beat_rate = np.sqrt((size - lock_in_rate) * (size + lock_in_rate))
     return np.asarray(np.log(np.maximum(beat_rate, _LOWEST_DPS)) / STEP)
-
-
-def six_weights(x: X) -> list[X]:
-    """Weights of points -2, -1, ... 3 around places x between 0 and 1: of an array, or of a number (faster)."""
-    weights = []
-    for own in _OFFSETS:
-        first, *rest = (other for other in _OFFSETS if other != own)
-        weight = (x - first) / (own - first)
-        for other in rest:
-            weight = weight * ((x - other) / (own - other))
-        weights.append(weight)
-    return weights

@@ -460,7 +460,7 @@ def mean_beat_on_table(
     places = times / span
     at = places * (together.shape[1] - 1)
     cells = np.minimum(np.maximum(at.astype(np.intp), 2), together.shape[1] - 4)
-    weights = six_weights(at - cells)
+    weights = six_weights(at - cells).T
     shares = np.asarray(
         sum(weight * together[:, cells + n] for n, weight in zip(range(-2, 4), weights, strict=True))
     )

@@ -517,7 +517,7 @@ def first_phase(values: Floats, mask: Floats) -> FirstPhase | None:
             phase[start:stop] += np.linspace(0, 2 * np.pi * turns, stop - start)
             phase[stop:] += 2 * np.pi * turns
     # where it stops
-    long = int(STOPPED * 2 * np.median(np.diff(crests)))
+    long = int(STOPPED * np.median(crests[2:] - crests[:-2]))
     lowest, highest = (np.where(valid, smooth, nothing) for nothing in (-np.inf, np.inf))
     moved = maximum_filter1d(highest, long) - minimum_filter1d(lowest, long)
     inside = slice(long // 2 + 1, smooth.size - long // 2 - 1)

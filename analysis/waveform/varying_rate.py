@@ -442,7 +442,10 @@ def matched_motion(phase: Floats, weights: Floats, terms: int) -> tuple[Floats, 
 SWUNG = 0.25  # share of the amplitude by which the signal must cross its middle to begin the next half period
 REACHED = 0.9  # share of the amplitude from which on the first and the last extreme of a record count as a crest
 STOPPED, STILL = 3.0, 0.07  # turns of the others in which a beat moves by less than this share of its amplitude
-SQUARE = 0.95  # share of the samples that no beat has at its two ends: all of them are clipped
+END, UPPER, SQUARE = 0.4, 0.3, 0.9
+"""Shares of its height from the middle where a beat has its ends, and its mean if it stands at one of them, as close
+to lock-in; share of the samples that no other beat has there: all are clipped."""
+
 QUIET = 0.06  # noise over amplitude at which crests are found without smoothing
 KEPT_LINES = 3  # smoothing keeps at least so many times the frequency of the strongest line
 
@@ -466,7 +469,7 @@ class FirstPhase:
     offset: Floats
     trusted: Bools  # (N,) samples at which the step, if there is one, leaves no doubt about the phase
     step: int | None  # number of the first sample behind a step of the offset, or None
-    stops: bool  # for more than a turn: locked, blocked, or no beat
+    stops: bool  # for some turns, or at both of its ends: locked, blocked, clipped, or no beat
 
     @property
     def uneven(self) -> float:
@@ -481,9 +484,9 @@ def first_phase(values: Floats, mask: Floats) -> FirstPhase | None:
     from scipy.ndimage import maximum_filter1d, minimum_filter1d  # takes longer to import than all else here
 
     valid = mask > 0
-    places, seen = np.arange(values.size), values[valid]
-    if np.mean((seen == seen.max(initial=-np.inf)) | (seen == seen.min(initial=np.inf))) > SQUARE:
-        return None
+    places, height = np.arange(values.size), values[valid]
+    place = (height - height.min(initial=np.inf)) / max(np.ptp(height) if height.size else 0.0, 1e-300)
+    square = abs(np.mean(place) - 0.5) < UPPER and np.mean(np.abs(place - 0.5) > END) > SQUARE
     filled = values if valid.all() else np.interp(places, places[valid], values[valid])
     smooth = _smoothed(filled)
     middle, half = (smooth.max() + smooth.min()) / 2, np.ptp(smooth) / 2
@@ -521,8 +524,8 @@ def first_phase(values: Floats, mask: Floats) -> FirstPhase | None:
     lowest, highest = (np.where(valid, smooth, nothing) for nothing in (-np.inf, np.inf))
     moved = maximum_filter1d(highest, long) - minimum_filter1d(lowest, long)
     inside = slice(long // 2 + 1, smooth.size - long // 2 - 1)
-    stops = bool(np.any(moved[inside] < STILL * amplitude[inside]))
-    return FirstPhase(phase, amplitude, offset, trusted, step, stops)
+    still = np.any(moved[inside] < STILL * amplitude[inside])
+    return FirstPhase(phase, amplitude, offset, trusted, step, bool(square or still))
 
 
 def _smoothed(values: Floats) -> Floats:

@@ -383,8 +383,14 @@ def test_a_small_motion_is_as_well_seen_in_any_unit() -> None:
     assert abs(float(tiny.lock_in_rate - alike.lock_in_rate)) < 1e-3 * float(alike.lock_in_rate_u)
 
 
-def test_a_square_wave_has_no_phase() -> None:
-    assert first_phase(np.sign(np.sin(2 * np.pi * 20.3 * TIME)), np.ones(N)) is None
+@pytest.mark.parametrize("noise", [0.0, 0.03])
+def test_a_square_wave_is_no_beat(noise: float) -> None:
+    rng = np.random.default_rng(4)
+    wave = np.sign(np.sin(2 * np.pi * 20.3 * TIME + np.cumsum(rng.normal(scale=0.03, size=N))))
+    wave = np.rint(80 * (wave + noise * rng.normal(size=N)))
+    assert first_phase(wave, np.ones(N)).stops
+    found = estimate_lock_in(wave, 1.0, scale_factor=1.0)
+    assert Flag.MISFIT in Flag(int(found.flags)) and int(found.flags) & int(DOUBTFUL)
 
 
 @pytest.mark.parametrize("periods", [40.3, 120.7])

@@ -443,8 +443,8 @@ SWUNG = 0.25  # share of the amplitude by which the signal must cross its middle
 REACHED = 0.9  # share of the amplitude from which on the first and the last extreme of a record count as a crest
 STOPPED, STILL = 3.0, 0.07  # turns of the others in which a beat moves by less than this share of its amplitude
 END, UPPER, SQUARE = 0.4, 0.3, 0.9
-"""Shares of its height from the middle where a beat has its ends, and its mean if it stands at one of them, as close
-to lock-in; share of the samples that no other beat has there: all are clipped."""
+"""Shares of its height from the middle where a beat has its ends, and its mean if it stands at one of them, near
+lock-in; share of the samples that no other beat has there: all are clipped."""
 
 QUIET = 0.06  # noise over amplitude at which crests are found without smoothing
 KEPT_LINES = 3  # smoothing keeps at least so many times the frequency of the strongest line

@@ -1,6 +1,5 @@
 """The command ``gyrolock``. Modules of :mod:`station.commands` are imported when a command of theirs is run."""
 
-import gc
 import importlib
 import os
 import sys
@@ -116,8 +115,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     given = list(sys.argv[1:] if arguments is None else arguments)
     for name in _ONE_THREAD:
         os.environ.setdefault(name, "1")
-    # modules and figures make hundreds of thousands of objects that live: looking through them finds nothing
-    gc.set_threshold(20_000, 20, 20)
     with unbreakable_streams() as streams, ending_signals():
         try:
             code = _run(given)

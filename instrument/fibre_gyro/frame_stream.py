@@ -320,8 +320,9 @@ class FrameStream:
             self._let_held_go()
             self._found.append(Answer(text))
         elif text or self._too_long:
-            self._reason = "line too long"
-            frame = None if self._too_long else self._frame_in(text)
+            frame = self._frame_in(text)  # of several that lost their ends the last one is whole
+            if self._too_long:
+                self._reason = "line too long"
             if frame is None:
                 if self._joined:
                     self._give_damage(1)

@@ -186,8 +186,12 @@ def test_good_frame_between_two_damaged_ones_is_kept_because_its_counter_goes_on
 @given(st.lists(st.tuples(COUNTS, DAMAGE), min_size=1, max_size=30), st.lists(st.integers(0, 10_000), max_size=9))
 # Three that lose their ends and the good one behind them are longer than any line.
 @example(
-    [(-10000, ("inserted byte", 13, 0)), (-998751, ("flipped bit", 14, 255)), (-999999, ("inserted byte", 14, 9))]
-    + [(-100194, ("", 0, 0))],
+    [
+        (-10000, ("inserted byte", 13, 0)),
+        (-998751, ("flipped bit", 14, 255)),
+        (-999999, ("inserted byte", 14, 9)),
+        (-100194, ("", 0, 0)),
+    ],
     [],
 )
 def test_line_with_one_fault_is_never_another_line(sent, cuts):

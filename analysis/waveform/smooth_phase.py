@@ -280,8 +280,7 @@ def fit_smooth_phase(values: Floats, mask: Floats, phase: Floats | None = None) 
     # Clipped samples keep their values: the first path is read from them too.
     # A record of another number of knots is another problem; each has the same digits whoever is beside it.
     if len(values) == 2 and np.array_equal(values[0], values[1]) and np.array_equal(mask[0], mask[1]):
-        known = None if phase is None else phase[:1]
-        return fit_smooth_phase(values[:1], mask[:1], known).take(np.zeros(2, dtype=np.intp))
+        return fit_smooth_phase(values[:1], mask[:1], None if phase is None else phase[:1]).take(np.array([0, 0]))
     spectra = np.abs(np.fft.rfft(values)) ** 2
     spectra[:, :2] = 0.0
     line = (spectra[:, :-2] + spectra[:, 1:-1] + spectra[:, 2:]).argmax(axis=1) + 1.0

@@ -50,7 +50,6 @@ of what the noise leaves unknown."""
 ITERATIONS, LAST_ITERATIONS, TO_A_STEP = 4, 8, 2
 
 NOISY_RATE = 12.0  # -2 log likelihood by which noise of the rate must explain a record better than an exact motion
-
 ALIKE = 0.1  # the same, by which two such fits are not worth telling apart
 
 ROUGHLY = 1.0  # gain of the last step of a fit that is not the last one, in variances of a sample's noise
@@ -68,7 +67,6 @@ SILENT, CHANCE = 1e-6, 1e-4
 ABOUT, ITSELF = (0.6, 1.6), 1.2  # lines about the beat, over its own; so near to it s and c have taken them
 
 NEARLY_LOCKED = 0.99999
-
 SLOWEST = 1.02
 """Rate over lock-in rate down to which a motion is believed: below it the gyro creeps, and what was fitted there
 may be anything."""
@@ -456,7 +454,6 @@ STEP_STANDS_OUT = 12.0
 """A step of the offset is believed where it lowers the scatter of the middles by this factor of its variance, in
 logarithms times their number; a wrong one costs little, since the fit drops it again."""
 
-
 NOT_APART = 1e-9  # determinant of two columns from which on they count as one
 
 
@@ -481,12 +478,8 @@ class FirstPhase:
 
 def first_phase(values: Floats, mask: Floats) -> FirstPhase | None:
     """Read the phase of one centred record (N,); `mask` is 0 where a sample is missing. None: there is no beat."""
-    from scipy.ndimage import maximum_filter1d, minimum_filter1d  # takes longer to import than all else here
-
     valid = mask > 0
-    places, height = np.arange(values.size), values[valid]
-    place = (height - height.min(initial=np.inf)) / max(np.ptp(height) if height.size else 0.0, 1e-300)
-    square = abs(np.mean(place) - 0.5) < UPPER and np.mean(np.abs(place - 0.5) > END) > SQUARE
+    places = np.arange(values.size)
     filled = values if valid.all() else np.interp(places, places[valid], values[valid])
     smooth = _smoothed(filled)
     middle, half = (smooth.max() + smooth.min()) / 2, np.ptp(smooth) / 2
@@ -519,13 +512,21 @@ def first_phase(values: Floats, mask: Floats) -> FirstPhase | None:
             turns = np.rint((expected - (phase[stop] - phase[start - 1])) / (2 * np.pi))
             phase[start:stop] += np.linspace(0, 2 * np.pi * turns, stop - start)
             phase[stop:] += 2 * np.pi * turns
-    # where it stops
+    stops = _stops(values[valid], smooth, valid, crests, amplitude)
+    return FirstPhase(phase, amplitude, offset, trusted, step, stops)
+
+
+def _stops(seen: Floats, smooth: Floats, valid: Bools, crests: Indices, amplitude: Floats) -> bool:
+    """Whether a beat stands still, for some turns or at both of its ends."""
+    from scipy.ndimage import maximum_filter1d, minimum_filter1d  # takes longer to import than all else here
+
+    place = (seen - seen.min()) / max(np.ptp(seen), 1e-300)
+    square = abs(np.mean(place) - 0.5) < UPPER and np.mean(np.abs(place - 0.5) > END) > SQUARE
     long = int(STOPPED * np.median(crests[2:] - crests[:-2]))
     lowest, highest = (np.where(valid, smooth, nothing) for nothing in (-np.inf, np.inf))
     moved = maximum_filter1d(highest, long) - minimum_filter1d(lowest, long)
     inside = slice(long // 2 + 1, smooth.size - long // 2 - 1)
-    still = np.any(moved[inside] < STILL * amplitude[inside])
-    return FirstPhase(phase, amplitude, offset, trusted, step, bool(square or still))
+    return bool(square or np.any(moved[inside] < STILL * amplitude[inside]))
 
 
 def _smoothed(values: Floats) -> Floats:

@@ -174,6 +174,7 @@ def _columns(sums: Complexes) -> Floats:
 
 NEWTON_ITERATIONS = 10
 MARQUARDT_ITERATIONS = 40
+HOPEFUL, HOPELESS = 15, 0.5  # of them, after which what leaves so much of the power is no beat at a steady rate
 
 CURVATURE = 0.06
 """A Gauss-Newton step is wrong by about a fifth of the square of its length. It is the last one when that square
@@ -196,11 +197,6 @@ class Task:
     def of(values: Samples, weights: Samples | None) -> Task:
         """A task with its sums."""
         return Task(values, weights, sums_of_squares(values), sums(values))
-
-    @property
-    def rounding(self) -> Floats:
-        """Error of a residual power, (R,)."""
-        return self.power * ROUNDING[self.values.dtype]
 
     def take(self, part: Indices) -> Task:
         """Some of the records; all of them without a copy."""
@@ -280,13 +276,13 @@ def levenberg_marquardt(task: Task, start: Series) -> SeriesFit:
     damping = np.zeros(series.omega.size)
     active = np.arange(damping.size)
     single = task.values.dtype == np.float32
-    for _ in range(MARQUARDT_ITERATIONS):
+    for iteration in range(MARQUARDT_ITERATIONS):
         here, old, some = series.take(active), best.take(active), task.take(active)
         change = old.solve(damping[active])
         trial_series = here.moved(change, n_samples)
         trial = some.equations(trial_series)
         # At the optimum the residual repeats to rounding; that must count as a step forward.
-        better = trial.residual_power <= old.residual_power + some.rounding
+        better = trial.residual_power <= old.residual_power + some.power * ROUNDING[some.values.dtype]
         series.put(active, trial_series.where(better, here))
         best.put(active, trial.where(better, old))
         tried = damping[active]
@@ -295,7 +291,9 @@ def levenberg_marquardt(task: Task, start: Series) -> SeriesFit:
         small = gain < (1e-3 if single else 1e-9) * old.residual_power / n_samples
         if not single:
             small |= gain < 1e-22
-        active = never_alone(np.unique(active[~((small & better) | (damping[active] > 1e9))]))
+        ended = (small & better) | (damping[active] > 1e9)
+        ended |= (iteration >= HOPEFUL) & (best.residual_power[active] > HOPELESS * some.power)
+        active = never_alone(np.unique(active[~ended]))
         if active.size == 0:
             break
     return SeriesFit(series, best.covariance(), best.residual_power)

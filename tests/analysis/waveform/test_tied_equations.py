@@ -13,6 +13,7 @@ from analysis.waveform.series import (
     sampled_series,
     uniform_kernels,
 )
+from analysis.waveform.series_fit import HOPEFUL, Task, levenberg_marquardt, start_of_series
 
 
 def direct_sums(values, omega, n_harmonics, highest_power):
@@ -80,3 +81,12 @@ def test_normal_equations_in_closed_form_are_those_of_the_samples(share_missing)
     np.testing.assert_allclose(closed.normal / both, plain.normal / both, atol=1e-7)
     np.testing.assert_allclose(closed.gradient / size, plain.gradient / size, atol=1e-5)
     np.testing.assert_allclose(closed.residual_power, plain.residual_power, rtol=1e-5)
+
+
+def test_a_record_without_a_beat_is_not_searched_to_the_end(monkeypatch):
+    """It took forty steps, and most of the time of such records."""
+    asked, equations = [], Task.equations
+    monkeypatch.setattr(Task, "equations", lambda self, series: asked.append(1) or equations(self, series))
+    noise = np.random.default_rng(6).normal(size=(2, 1000)).astype(np.float32)
+    levenberg_marquardt(Task.of(noise, None), start_of_series(noise, None))
+    assert len(asked) <= HOPEFUL + 2

@@ -84,8 +84,7 @@ def estimate_lock_in(
     stack = as_stack(volts, sample_interval, nan_policy)
     shape, n_records, rate, mask = stack.shape, len(stack.volts), _given_rate(input_rate, stack.shape), None
     if clipped is not None:
-        full = np.broadcast_to(np.asarray(clipped, dtype=bool), (*shape, stack.n_samples))
-        mask = full.reshape(-1, stack.n_samples)
+        mask = np.broadcast_to(np.asarray(clipped, bool), (*shape, stack.n_samples)).reshape(stack.volts.shape)
     if full_amplitude is not None:
         full_amplitude = np.broadcast_to(np.asarray(full_amplitude, dtype=np.float64), shape).ravel()
     if n_records == 1:

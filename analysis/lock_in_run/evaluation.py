@@ -185,7 +185,7 @@ class SeveralRates:
     by_frequency: FrequencyFit | None = None
     problem: str = ""  # why there is no fit by the beat
     beams: BeamsFit | None = None  # the fit with the single beams, whose lock-in rate is then that of `by_beat`
-    beams_problem: str = ""  # why there is none although they were recorded, and what was seen of them
+    beams_problem: str = ""  # why there is none although something was asked of them, and what was seen of them
     beams_flags: int = 0
 
     @property
@@ -226,6 +226,8 @@ def evaluate_rates(run: RunArrays, each: LockInEstimate, axis: AxisRates, knowle
     by_beat, problem = _fit(each, axis, rates_u, "beat", receiver)
     by_table, _ = _fit(each, axis, rates_u, "rate", receiver, by_beat)
     beams, no_beams = None, ""
+    if run.beams is None and math.isfinite(knowledge.beams.dead_band):
+        no_beams = "none were recorded, and beams.dead_band_dps is compared beside them only"
     if run.beams is not None and by_beat is not None:
         try:
             beams = fit_beams(by_beat, run.beams, knowledge.beams, receiver)

@@ -270,14 +270,13 @@ def _check_names(names: list[str], choices: LogChoices) -> None:
 
 
 def _check_words(outputs: dict[str, Floats], lines: NDArray[np.int64]) -> None:
-    """FileFormatError where signed words were written as unsigned ones: negative ones stand at the other end."""
+    """FileFormatError where signed words were written as unsigned ones: negative ones often stand at the other end."""
     for words in outputs.values():
         for bits in _WORDS:
             highest = float(words.max(initial=0.0))
             if words.min(initial=0.0) < 0 or highest >= 2.0**bits or highest < 0.9 * 2.0**bits:
                 continue
             jumps = np.flatnonzero(np.abs(np.diff(words)) > 0.9 * 2.0**bits)
-            # once or twice is a row of its own
             if jumps.size > 2 and not np.any((words > 0.1 * 2.0**bits) & (words < 0.9 * 2.0**bits)):
                 at = int(jumps[0])
                 raise FileFormatError(

@@ -1,6 +1,7 @@
 """`gyrolock measure` with photodiodes on the single beams: saved beside the beat, fitted with it, told."""
 
 import json
+import shutil
 import sqlite3
 from contextlib import closing
 from pathlib import Path
@@ -87,6 +88,13 @@ def test_analysis_again_gives_the_same(gyrolock, taken: Path) -> None:
     Path(run.parent / "equal.toml").write_text("[beams]\nunequal_limit_percent = 0.1\n")
     equal = gyrolock("analyze", run, "--config", run.parent / "equal.toml", "--json").document
     assert "misfit" in equal["beams"]["flags"] and "misfit" not in again["beams"]["flags"]
+
+
+def test_a_dead_band_that_stands_beside_no_beams_is_not_passed_over(gyrolock, tmp_path: Path) -> None:
+    run = Path(shutil.copy(Path(__file__).parents[1] / "golden" / "several.sqlite", tmp_path / "run.sqlite"))
+    (tmp_path / "my.toml").write_text("[beams]\n" + BAND)
+    assert "dead_band_dps is compared beside them only" in gyrolock("analyze", run, "--config", "my.toml").out
+    assert "dead_band_dps" not in gyrolock("analyze", run).out
 
 
 @pytest.mark.slow

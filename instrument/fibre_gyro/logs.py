@@ -270,7 +270,7 @@ def _check_names(names: list[str], choices: LogChoices) -> None:
 
 
 def _check_words(outputs: dict[str, Floats], lines: NDArray[np.int64]) -> None:
-    """FileFormatError where signed words were written as unsigned ones: negative ones often stand at the other end."""
+    """FileFormatError where signed words were written as unsigned: negative ones stand at the other end, often."""
     for words in outputs.values():
         for bits in _WORDS:
             highest = float(words.max(initial=0.0))

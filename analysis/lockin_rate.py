@@ -119,7 +119,8 @@ def estimate_lock_in(
     fatal = (flags & int(FATAL)) != 0
 
     def shaped(values: Floats) -> Floats:
-        return np.where(fatal, np.nan, values)[:n_records].reshape(shape)
+        lost = fatal.reshape(-1, *(1,) * (values.ndim - 1))
+        return np.where(lost, np.nan, values)[:n_records].reshape(*shape, *values.shape[1:])
 
     sense = np.where(rate < 0, -1.0, 1.0) if rate is not None else np.ones(beat.size.shape)
     own_rate = input_rate_from_beat(beat.ratio, beat.frequency / scale_factor)
@@ -140,9 +141,7 @@ def estimate_lock_in(
         ratio_u=shaped(beat.ratio_u),
         misfit_u=shaped(beat.misfit),
         complex_ratio=np.where(fatal, complex(np.nan, np.nan), beat.rho)[:n_records].reshape(shape),
-        complex_ratio_covariance=np.where(fatal[:, np.newaxis, np.newaxis], np.nan, beat.rho_covariance)[
-            :n_records
-        ].reshape(*shape, 2, 2),
+        complex_ratio_covariance=shaped(beat.rho_covariance),
         backscatter_phase=shaped(backscatter_phase(beat.rho, sense)),
         amplitude=shaped(beat.amplitude),
         noise_rms=fit.noise_rms[:n_records].reshape(shape),

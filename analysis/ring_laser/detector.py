@@ -461,9 +461,7 @@ def mean_beat_on_table(
     at = places * (together.shape[1] - 1)
     cells = np.minimum(np.maximum(at.astype(np.intp), 2), together.shape[1] - 4)
     weights = six_weights(at - cells).T
-    shares = np.asarray(
-        sum(weight * together[:, cells + n] for n, weight in zip(range(-2, 4), weights, strict=True))
-    )
+    shares = np.asarray(sum(w * together[:, cells + n] for n, w in zip(range(-2, 4), weights, strict=True)))
     turning = np.exp(1j * sense * beat_phase_on_table(gyro, segments, middle + times)[1])
     growing = begin[1:order, np.newaxis] + (end - begin)[1:order, np.newaxis] * (times / span)
     factors, total = growing * shares, np.zeros_like(turning)

@@ -653,23 +653,22 @@ def lasers_of_beat(points: Points, starts: Floats, known: Prior, bench: BenchKno
         return found
     # What is known beforehand is a sum of narrower bells, each of which has a minimum of its own; where the
     # coupling is the same at all corners one does
-    corners = [_of_part(best, best, place) for place in _CORNERS]
+    corners = [_of_part(best.model.data, best, place) for place in _CORNERS]
     sizes = np.array([one.coupling(1.0)[0] for one in (best, *corners) if one])
     if None not in corners and np.all(np.ptp(sizes[:, :2], axis=0) < _SAME * sizes[0, 1]):
         return found
     parts, near = list[LaserFit](), best
     for place in _PLACES:
-        if (end := _of_part(best, near, place)) is not None:
+        if (end := _of_part(best.model.data, near, place)) is not None:
             near = end
             parts.append(replace(near, chi_square=near.chi_square + float(place @ place) / (1 - _PART**2)))
     return sorted(parts, key=lambda one: one.chi_square) or [best]
 
 
-def _of_part(best: LaserFit, near: LaserFit, place: Floats) -> LaserFit | None:
+def _of_part(data: LaserData, near: LaserFit, place: Floats) -> LaserFit | None:
     """The minimum of a narrower bell about a place, from one near to it."""
-    usual = np.array(best.model.data.usual)
-    about = place * usual
-    part = replace(best.model.data, usual=tuple(usual * _PART), about=tuple(about))
+    about = place * data.usual
+    part = replace(data, usual=tuple(np.array(data.usual) * _PART), about=tuple(about))
     coupling = complex(_backscatter(near.parameters[FIRST]) + _backscatter(near.parameters[SECOND]))
     start = np.concatenate([_backscatters(coupling, about[1], about[0]), near.parameters[4:]])
     end = search(model := near.model.of(part), start, _OF_PART, _ROUGHLY)

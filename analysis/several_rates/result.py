@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import IntFlag
-from typing import Literal
+from typing import Literal, Self
 
 import numpy as np
 import scipy.special
@@ -185,6 +185,11 @@ class RatesFit:
     def rate(self) -> Floats:
         """Of every record, deg/s, signed, (n,)."""
         return self.records.records.rate
+
+    @property
+    def each(self) -> Self:
+        """The fit, which says itself what it makes of each record."""
+        return self
 
     @property
     def n_rates(self) -> int:

@@ -321,8 +321,7 @@ class FrameStream:
             self._found.append(Answer(text))
         elif text or self._too_long:
             frame = self._frame_in(text)  # of several that lost their ends the last one is whole
-            if self._too_long:
-                self._reason = "line too long"
+            self._reason = "line too long" if self._too_long else self._reason
             if frame is None:
                 if self._joined:
                     self._give_damage(1)

@@ -120,7 +120,7 @@ def estimate_lock_in(
 
     def shaped(values: Floats) -> Floats:
         lost = fatal.reshape(-1, *(1,) * (values.ndim - 1))
-        return np.where(lost, np.nan, values)[:n_records].reshape(*shape, *values.shape[1:])
+        return np.where(lost, np.nan, values)[:n_records].reshape((*shape, *values.shape[1:]))
 
     sense = np.where(rate < 0, -1.0, 1.0) if rate is not None else np.ones(beat.size.shape)
     own_rate = input_rate_from_beat(beat.ratio, beat.frequency / scale_factor)
